@@ -1,0 +1,1 @@
+"""Device bytes to messages. Parsing knows no I/O; only `ports` opens devices."""

@@ -1,0 +1,1 @@
+"""Messages to messages: pure stages under the contract of `tramstream.processor`."""

@@ -1,0 +1,248 @@
+"""One TOML file per vehicle, one frozen struct per node, unknown fields refused.
+
+Defaults live here, each with its source. Units stand in field names and are SI inside.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tramstream.errors import ConfigError
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Count = Annotated[int, Meta(ge=1)]
+VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Vector = tuple[float, float, float]
+
+
+class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of every section."""
+
+
+class Bus(Struct, kw_only=True):
+    """Where the nodes of this vehicle meet."""
+
+    runtime_dir: str = ""
+    """Folder of the bus' Unix socket, the clock file and the processors' snapshot. Empty: chosen
+    by `default_runtime_dir`."""
+
+
+class Gnss(Struct, kw_only=True):
+    """A u-blox receiver (or any NMEA receiver) on a serial line."""
+
+    device: str
+    baud_rate: Count = 460800
+    receiver_delay_s: NotNegative = 0.1
+    """From the epoch until the first byte leaves the receiver when it is fastest; 0.10 to 0.22 s
+    observed with real receivers. Not observable without a time pulse."""
+    lever_arm_m: Vector = (0.0, 0.0, 0.0)
+    """Antenna from the vehicle's origin, p_va_v."""
+    max_accuracy_m: Positive = 100.0
+    """A fix whose receiver says worse than this is published but not valid."""
+
+
+class Imu(Struct, kw_only=True):
+    """An ADIS16465 behind a microcontroller on a serial line (docs/imu-framing.md)."""
+
+    device: str
+    baud_rate: Count = 2_000_000
+    model: Literal["ADIS16465-1", "ADIS16465-2", "ADIS16465-3"] = "ADIS16465-1"
+    rate_hz: Positive = 2000.0
+    batch: Annotated[int, Meta(ge=1, le=200)] = 20
+    """Samples per message: one message a window of the resampler."""
+
+
+class Signal(Struct, kw_only=True):
+    """One signal of the DBC and what it means."""
+
+    message: str
+    signal: str
+    scale: float = 1.0
+    """Physical value of the DBC times `scale` is pulses, m/s, 0/1 or newtons."""
+
+
+class Wheel(Struct, kw_only=True):
+    """One wheel: pulses since the last message, a free-running counter, or a speed."""
+
+    message: str
+    signal: str
+    kind: Literal["pulses", "counter", "speed"]
+    scale: float = 1.0
+    """To pulses, or to m/s (a DBC in km/h wants 0.2777777777777778)."""
+    counter_bits: Annotated[int, Meta(ge=1, le=63)] = 16
+    """Where a counter wraps."""
+
+
+class Odometer(Struct, kw_only=True):
+    """Wheels, doors and motor force from a CAN bus."""
+
+    interface: str = "socketcan"
+    """Any interface of python-can: socketcan, slcan, virtual, udp_multicast, …"""
+    channel: str
+    bitrate: Count = 500_000
+    dbc: str
+    wheels: dict[str, Wheel]
+    doors_open: Signal | None = None
+    motor_force_n: Signal | None = None
+    silence_s: Positive = 2.0
+    """No frame for so long: the interface is looked at and opened again."""
+
+
+class Resampler(Struct, kw_only=True):
+    """2 kHz to 100 Hz, and the order of everything."""
+
+    factor: Count = 20
+    method: Literal["mean", "lowpass"] = "mean"
+    """mean: kaspar2023, averages `factor` samples. lowpass: pusman2017, decimating FIR."""
+    cutoff_hz: Positive = 16.0
+    """Of the low-pass (pusman2017)."""
+    max_bridge_samples: Annotated[int, Meta(ge=0)] = 20
+    """Longest gap that is interpolated and marked: 10 ms at 2 kHz."""
+    horizon_lag_s: NotNegative = 0.3
+    """The fusion horizon behind the newest inertial sample: the latest GNSS fix that still counts
+    (observed delays up to 0.22 s, and reading)."""
+    imu_silence_s: Positive = 0.5
+    """Without an inertial sample for so long, ticks move the horizon."""
+
+
+class Distance(Struct, kw_only=True):
+    """The travelled-distance filter of konecny2004."""
+
+    m_per_pulse: Positive = 0.00092038845
+    """2π·0.3 m / 2048 (theory.md section 2): the reference vehicle's wheel."""
+    acceleration_std_mps2: Positive = 1.0
+    """White acceleration between measurements: trams brake with 1 m/s² in service."""
+    wheel_speed_std_mps: Positive = 0.05
+    gate_sigma: Positive = 5.0
+
+
+class Recorder(Struct, kw_only=True):
+    """Where and how records are written."""
+
+    directory: str = "records"
+    split_s: Positive = 300.0
+    split_bytes: Count = 1_000_000_000
+    flush_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
+    """A chunk is closed and synced this often; what a power cut takes is younger than that."""
+    free_space_floor_bytes: Annotated[int, Meta(ge=0)] = 500_000_000
+    """Below this the oldest unprotected record is deleted first."""
+    exclude: tuple[str, ...] = ()
+    """Key expressions, relative to `tram/<vehicle>/`, that are not recorded."""
+
+
+class Simulator(Struct, kw_only=True):
+    """A device that does not exist: speaks a real device's bytes on a pseudo terminal."""
+
+    kind: Literal["ride", "gnss_file", "can_file", "imu_still"]
+    """ride: all three devices on a simulated ride. gnss_file, can_file: captured bytes at their
+    own pace. imu_still: an IMU that stands still."""
+    link: str = ""
+    """Path at which the pseudo terminal appears; a ride appends .gnss, .imu and .can."""
+    file: str = ""
+    seed: int = 0
+    loop: bool = False
+
+
+class Vehicle(Struct, kw_only=True):
+    """Everything about one vehicle."""
+
+    vehicle: VehicleId
+    bus: Bus = Bus()
+    gnss: Gnss | None = None
+    imu: Imu | None = None
+    odometer: Odometer | None = None
+    resampler: Resampler = Resampler()
+    distance: Distance = Distance()
+    recorder: Recorder = Recorder()
+    simulators: dict[str, Simulator] = {}
+
+    @property
+    def runtime_dir(self) -> Path:
+        return Path(self.bus.runtime_dir) if self.bus.runtime_dir else default_runtime_dir()
+
+
+def default_runtime_dir() -> Path:
+    """`TRAMSTREAM_RUNTIME_DIR`, else /run/tramstream for root, else a folder of the user's own."""
+    chosen = os.environ.get("TRAMSTREAM_RUNTIME_DIR")
+    if chosen:
+        return Path(chosen)
+    if os.geteuid() == 0:
+        return Path("/run/tramstream")
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(user) / "tramstream" if user else Path(f"/tmp/tramstream-{os.geteuid()}")
+
+
+def load(path: Path) -> Vehicle:
+    """Read a vehicle configuration; relative paths in it are relative to the file.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file, the path of the field and what was expected.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot read the configuration ({error.strerror}); "
+            "`tramstream init` writes one"
+        ) from error
+    return parse(data, str(path), path.parent)
+
+
+def parse(data: bytes, name: str, folder: Path) -> Vehicle:
+    """Decode configuration text; see `load`."""
+    try:
+        raw: dict[str, Any] = msgspec.toml.decode(data)
+        vehicle = msgspec.convert(raw, Vehicle)
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise ConfigError(f"{name}: {error}") from error
+    return _resolve(vehicle, folder)
+
+
+def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
+    """Make file paths absolute; device names and channels stay what they are."""
+
+    def absolute(path: str) -> str:
+        return str((folder / path).absolute()) if path else path
+
+    changes: dict[str, Any] = {
+        "recorder": msgspec.structs.replace(
+            vehicle.recorder, directory=absolute(vehicle.recorder.directory)
+        ),
+        "simulators": {
+            name: msgspec.structs.replace(
+                simulator, file=absolute(simulator.file), link=absolute(simulator.link)
+            )
+            for name, simulator in vehicle.simulators.items()
+        },
+        "bus": msgspec.structs.replace(
+            vehicle.bus, runtime_dir=absolute(vehicle.bus.runtime_dir)
+        ),
+    }
+    if vehicle.odometer is not None:
+        changes["odometer"] = msgspec.structs.replace(
+            vehicle.odometer,
+            dbc=absolute(vehicle.odometer.dbc),
+            channel=_device(vehicle.odometer.channel, folder),
+        )
+    if vehicle.gnss is not None:
+        changes["gnss"] = msgspec.structs.replace(
+            vehicle.gnss, device=_device(vehicle.gnss.device, folder)
+        )
+    if vehicle.imu is not None:
+        changes["imu"] = msgspec.structs.replace(
+            vehicle.imu, device=_device(vehicle.imu.device, folder)
+        )
+    return msgspec.structs.replace(vehicle, **changes)
+
+
+def _device(name: str, folder: Path) -> str:
+    """A path with a slash in it is relative to the configuration; `can0` is an interface."""
+    return str((folder / name).absolute()) if "/" in name else name

@@ -1,0 +1,41 @@
+"""Every exception of tramstream. Dirty input is data, not an exception.
+
+Exceptions mean a bug, a bad configuration, a lost device or an unreadable file. Each carries one
+sentence that names the field, file or device and the cure; the command line prints that sentence.
+"""
+
+from __future__ import annotations
+
+
+class TramstreamError(Exception):
+    """Root of the tree. `exit_status` is what the command line ends with."""
+
+    exit_status = 2
+
+
+class ConfigError(TramstreamError):
+    """A configuration that cannot be used; the sentence names the path of the field."""
+
+
+class DeviceError(TramstreamError):
+    """A device that is missing, lost or refuses; the loop opens it again."""
+
+
+class BusError(TramstreamError):
+    """No bus, or no router on it."""
+
+
+class RecordError(TramstreamError):
+    """A record that cannot be read as asked."""
+
+
+class DamagedRecordError(RecordError):
+    """A record of which something is lost; what could be saved was saved."""
+
+    exit_status = 3
+
+
+class CheckFailedError(TramstreamError):
+    """The check asked for does not hold."""
+
+    exit_status = 1

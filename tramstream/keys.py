@@ -1,0 +1,156 @@
+"""All keys of the bus: layer, source, quantity, type, rate and clock, written here and nowhere else.
+
+A full key is `tram/<vehicle>/<layer>/<source>/<quantity>`. `Key.path` leaves the first two parts
+out; that is how processors and configurations speak of keys. Every stamp is on the *vehicle clock*
+(`tramstream.clock`): monotonic, never stepped, in nanoseconds that look like Unix time. What the
+stamp marks is the key's `instant`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
+
+from tramstream.proto import estimate_pb2, gnss_pb2, health_pb2, raw_pb2, sync_pb2
+
+ROOT = "tram"
+SCHEMA_VERSION = 1
+"""Raised whenever a message changes so that an older reader would misread it."""
+
+ANY_SOURCE = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key: where it lies, what it carries, how often, and what its stamp marks."""
+
+    layer: str
+    source: str
+    quantity: str
+    type: type[Message]
+    rate_hz: float
+    instant: str
+    doc: str
+
+    @property
+    def path(self) -> str:
+        return f"{self.layer}/{self.source}/{self.quantity}"
+
+    @property
+    def encoding(self) -> str:
+        """The zenoh encoding declared on every put."""
+        return f"application/protobuf;{self.type.DESCRIPTOR.full_name}"
+
+    def on(self, vehicle: str) -> str:
+        """Full key on `vehicle`."""
+        return f"{ROOT}/{vehicle}/{self.path}"
+
+    def at(self, source: str) -> Key:
+        """The same quantity of another source: `HEARTBEAT.at("imu")`."""
+        return replace(self, source=source)
+
+
+def _key(path: str, type_: Any, rate_hz: float, instant: str, doc: str) -> Key:
+    layer, source, quantity = path.split("/")
+    return Key(layer, source, quantity, type_, rate_hz, instant, doc)
+
+
+# raw: what devices said -----------------------------------------------------------------------
+GNSS_BYTES = _key("raw/gnss/bytes", raw_pb2.RawBytes, 10, "arrival", "Receiver's bytes as read")
+GNSS_FIX = _key("raw/gnss/fix", gnss_pb2.GnssFix, 5, "epoch", "Position, velocity, time")
+GNSS_LOCATION = _key("raw/gnss/location", LocationFix, 5, "epoch", "The same fix for any viewer")
+GNSS_COVARIANCE = _key(
+    "raw/gnss/covariance", gnss_pb2.GnssCovariance, 5, "epoch", "Covariance of the fix, NED"
+)
+GNSS_POSITION = _key(
+    "raw/gnss/position", gnss_pb2.GnssPosition, 5, "epoch", "Position alone, high precision"
+)
+GNSS_ATTITUDE = _key(
+    "raw/gnss/attitude", gnss_pb2.GnssAttitude, 5, "epoch", "Receiver's own attitude"
+)
+GNSS_TIME = _key("raw/gnss/time", gnss_pb2.GnssTime, 1, "epoch", "GPS time and leap seconds")
+GNSS_PULSE = _key("raw/gnss/pulse", gnss_pb2.TimePulse, 1, "arrival", "Time of the next pulse")
+GNSS_SATELLITES = _key(
+    "raw/gnss/satellites", gnss_pb2.GnssSatellites, 1, "epoch", "Satellites in view (NAV-SAT)"
+)
+GNSS_SIGNALS = _key(
+    "raw/gnss/signals", gnss_pb2.GnssSatellites, 1, "epoch", "Signals in view (NAV-SIG)"
+)
+GNSS_MEASUREMENTS = _key(
+    "raw/gnss/measurements", gnss_pb2.GnssMeasurements, 1, "epoch", "Pseudorange, carrier, Doppler"
+)
+GNSS_SUBFRAME = _key("raw/gnss/subframe", gnss_pb2.GnssSubframe, 10, "arrival", "Navigation data")
+GNSS_ESF_MEASUREMENTS = _key(
+    "raw/gnss/esf_measurements", gnss_pb2.EsfMeasurements, 10, "arrival", "Receiver's sensors"
+)
+GNSS_ESF_STATUS = _key(
+    "raw/gnss/esf_status", gnss_pb2.EsfStatus, 1, "epoch", "State of the receiver's fusion"
+)
+GNSS_ESF_INERTIAL = _key(
+    "raw/gnss/esf_inertial", gnss_pb2.EsfInertial, 10, "epoch", "Receiver's vehicle dynamics"
+)
+GNSS_ESF_ALIGNMENT = _key(
+    "raw/gnss/esf_alignment", gnss_pb2.EsfAlignment, 1, "epoch", "Receiver's own mounting angles"
+)
+GNSS_FRAME = _key("raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole")
+IMU_BYTES = _key("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes as read")
+IMU_BATCH = _key("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
+ODO_FRAMES = _key("raw/odo/frames", raw_pb2.CanFrames, 50, "arrival", "CAN frames as received")
+ODO_WHEELS = _key("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
+TRUTH_STATE = _key("raw/truth/state", raw_pb2.TruthState, 10, "state", "The simulator's truth")
+
+# sync: the ordered stream ------------------------------------------------------------------------
+SYNC_IMU = _key("sync/imu/mean", sync_pb2.ImuMean, 100, "window centre", "100 Hz inertial mean, now")
+SYNC_FRAME = _key("sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps")
+SYNC_GAP = _key("sync/imu/gap", sync_pb2.SyncGap, 0, "gap's start", "Inertial samples missing")
+SYNC_LATE = _key("sync/fusion/late", sync_pb2.LateSample, 0, "late sample", "Came after the horizon")
+SYNC_TICK = _key("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, reading position")
+SYNC_SNAPSHOT = _key("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
+
+# est: what filters say ------------------------------------------------------------------------
+EST_DISTANCE = _key(
+    "est/distance/state", estimate_pb2.DistanceState, 50, "state", "Travelled distance and speed"
+)
+
+# health: how the system is doing; one source a node -----------------------------------------------
+HEARTBEAT = _key("health/*/heartbeat", health_pb2.NodeHealth, 1, "publication", "A process is alive")
+DEVICE = _key("health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge")
+LOSS = _key("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
+LOG = _key("health/*/log", Log, 0, "publication", "What a node has to say")
+CLOCK = _key("health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC")
+
+ALL: tuple[Key, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Key))
+_BY_PATH = {key.path: key for key in ALL}
+
+
+def find(path: str) -> Key | None:
+    """The key at `path` (`layer/source/quantity`), or None if nobody defined it."""
+    key = _BY_PATH.get(path)
+    if key is None and path.count("/") == 2:
+        layer, source, quantity = path.split("/")
+        generic = _BY_PATH.get(f"{layer}/{ANY_SOURCE}/{quantity}")
+        key = generic.at(source) if generic is not None else None
+    return key
+
+
+def split(full: str) -> tuple[str, str]:
+    """Split a full key into vehicle and path; both empty if it is not one of ours."""
+    parts = full.split("/", 2)
+    return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == ROOT else ("", "")
+
+
+def matches(expression: str, key: str) -> bool:
+    """Whether zenoh key expression `expression` (`*` one part, `**` any number) includes `key`."""
+    return _match(expression.split("/"), key.split("/"))
+
+
+def _match(pattern: list[str], parts: list[str]) -> bool:
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return any(_match(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
+    return bool(parts) and pattern[0] in ("*", parts[0]) and _match(pattern[1:], parts[1:])

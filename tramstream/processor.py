@@ -1,0 +1,111 @@
+"""The one contract of tramstream: a processor turns a sample into samples.
+
+Bridges (device bytes to messages), the resampler, filters and everything after them keep it. A
+processor has memory but no bus, clock, thread, file or logger; time enters only through stamps.
+The live loop, reprocessing and the tests call the same `step`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+from google.protobuf.message import Message
+
+from tramstream.keys import Key
+
+State = dict[str, Any]
+"""Plain data: None, bool, int, float, str, bytes, lists, dicts and numpy arrays of these."""
+
+
+class Sample(NamedTuple):
+    """One message on its way: its key, when it was true, its number on that key.
+
+    `publish_ns` is when its publisher sent it, strictly increasing per key; 0 while it has not been
+    sent. `message` is shared by everybody who gets the sample: nobody may change it.
+    """
+
+    key: Key
+    message: Any
+    stamp_ns: int
+    sequence: int
+    publish_ns: int = 0
+
+
+@dataclass(slots=True)
+class Ledger:
+    """What became of everything a stage received: received = delivered + dropped + pending."""
+
+    stage: str
+    unit: str
+    received: int = 0
+    delivered: int = 0
+    dropped: int = 0
+    pending: int = 0
+
+    @property
+    def balanced(self) -> bool:
+        return self.received == self.delivered + self.dropped + self.pending
+
+
+class Processor(ABC):
+    """A pure stage: `step(sample) -> [sample]` with memory that can be copied out and put back.
+
+    Subclasses declare `name`, `inputs` and `outputs`, keep their whole memory in attributes and
+    number their outputs with `emit`.
+    """
+
+    name: ClassVar[str]
+    inputs: ClassVar[tuple[Key, ...]]
+    outputs: ClassVar[tuple[Key, ...]]
+    pacing: ClassVar[tuple[Key, ...]] = ()
+    """Inputs that move the processor's horizon on; any other may come early without a difference."""
+
+    def __init__(self) -> None:
+        self._next_sequence: dict[str, int] = {}
+
+    @abstractmethod
+    def step(self, sample: Sample) -> list[Sample]:
+        """Take one sample, return what follows from it, in the order of publication."""
+
+    @abstractmethod
+    def snapshot(self) -> State:
+        """Memory as plain data that shares nothing with the processor; `restore` takes it back."""
+
+    @abstractmethod
+    def restore(self, state: State) -> None:
+        """Go on from `state`, which `snapshot` of the same class gave."""
+
+    def ledgers(self) -> list[Ledger]:
+        """What became of all that came in, one entry for each unit the stage counts in."""
+        return []
+
+    def emit(self, key: Key, message: Message, stamp_ns: int) -> Sample:
+        """Number and stamp `message` as the next sample on `key`."""
+        sequence = self._next_sequence.get(key.path, 1)
+        self._next_sequence[key.path] = sequence + 1
+        stamp(message, stamp_ns, sequence)
+        return Sample(key, message, stamp_ns, sequence)
+
+    def sequences(self) -> State:
+        """Next sequence number per key: belongs into every snapshot."""
+        return dict(self._next_sequence)
+
+    def restore_sequences(self, state: State) -> None:
+        self._next_sequence = deepcopy(state)
+
+
+def stamp(message: Any, stamp_ns: int, sequence: int) -> None:
+    """Write stamp and sequence into a message of ours; Foxglove's own types have a timestamp."""
+    if message.DESCRIPTOR.file.package == "foxglove":
+        message.timestamp.FromNanoseconds(stamp_ns)
+    else:
+        message.stamp_ns = stamp_ns
+        message.sequence = sequence
+
+
+Factory = Callable[[Any], Processor]
+"""Builds a processor from the vehicle's configuration (`tramstream.config.Vehicle`)."""

@@ -1,0 +1,1 @@
+"""Generated protobuf classes. `python -m tramstream.proto.generate` makes them anew."""
