@@ -8,15 +8,22 @@ a vehicle share the offset through a file. Its relation to UTC and GPS time is p
 `ClockFit` finds the line under which no arrival lies (transport only ever delays): the edge of the
 lower convex hull of arrival − device time that spans the middle of the window. Moon, Skelly and
 Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999.
+
+What stamps use is not that line but a chain of straight pieces that runs after it. A new line bends
+the chain at the newest arrival and never touches what lies before, so the map from device to host
+time is one continuous rising curve: stamps cannot jump or turn back, whoever asks and however late.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from tramstream.errors import ConfigError
 
@@ -62,18 +69,21 @@ class VehicleClock:
         """
         path = runtime_dir / "clock.json"
         boot = boot_id()
-        for _ in range(2):
+        known = _read_clock(path, boot)
+        if known is None:
+            make_runtime_dir(runtime_dir)
             try:
-                known = json.loads(path.read_text())
-                if known["boot_id"] == boot:
-                    return cls(int(known["offset_ns"]), float(known["rate"]))
-            except (OSError, ValueError, KeyError):
-                pass  # absent, or of another boot and format: written anew below
-            _write_once(path, boot, rate)
-        raise ConfigError(
-            f"{path}: the clock file cannot be read back; delete it and check that only one "
-            "user runs tramstream here"
-        )
+                # Whoever waited for the lock finds the winner's file: reading and writing under
+                # one lock is what makes all agree, also over the file of an earlier boot.
+                with (runtime_dir / "clock.lock").open("w") as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+                    known = _read_clock(path, boot) or _write_clock(path, boot, rate)
+            except OSError as error:
+                raise ConfigError(
+                    f"{path}: cannot write the clock file ({error.strerror}); set "
+                    "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder that you may write"
+                ) from error
+        return cls(*known)
 
 
 def boot_id() -> str:
@@ -104,33 +114,34 @@ def make_runtime_dir(runtime_dir: Path) -> None:
         )
 
 
-def _write_once(path: Path, boot: str, rate: float) -> None:
-    make_runtime_dir(path.parent)
-    offset_ns = time.time_ns() - int(time.monotonic_ns() * rate)
-    text = json.dumps({"boot_id": boot, "offset_ns": offset_ns, "rate": rate})
-    temporary = path.with_suffix(f".{os.getpid()}")
-    temporary.write_text(text)
+def _read_clock(path: Path, boot: str) -> tuple[int, float] | None:
+    """Offset and rate of this boot's clock file; None if absent, of another boot, or damaged."""
     try:
-        known = json.loads(path.read_text())["boot_id"]
-    except (OSError, ValueError, KeyError):
-        known = None
-    if known is None and not path.exists():
-        try:
-            os.link(temporary, path)  # the first of two simultaneous writers wins
-        except FileExistsError:
-            pass
-        temporary.unlink()
-    else:
-        os.replace(temporary, path)
+        known = json.loads(path.read_text())
+        if known["boot_id"] != boot:
+            return None
+        return int(known["offset_ns"]), float(known["rate"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _write_clock(path: Path, boot: str, rate: float) -> tuple[int, float]:
+    """Found the clock; the caller holds the lock. Readers see the whole file or none."""
+    offset_ns = time.time_ns() - int(time.monotonic_ns() * rate)
+    temporary = path.with_suffix(".new")
+    temporary.write_text(json.dumps({"boot_id": boot, "offset_ns": offset_ns, "rate": rate}))
+    os.replace(temporary, path)
+    return offset_ns, rate
 
 
 class ClockFit:
     """Fit host time to device time from arrivals, on line.
 
     Feed every arrival with `add`, map device instants with `host_ns`. The minimum delay over the
-    window cannot be told from the offset: subtract a known delay outside. Outliers above the line
-    do not matter; a jump of the device clock (either way by more than `step_s` for several
-    arrivals) starts the fit anew and is counted in `restarts`.
+    window cannot be told from the offset: subtract a known delay outside. Late arrivals do not
+    matter. A jump of the device clock by more than `step_s` starts the fit anew and is counted in
+    `restarts`: after `JUMP_ARRIVALS` in a row that come too early, which no delay explains, or too
+    late for `step_s` on end, which a stalled reader emptying its buffer is not.
 
     Parameters
     ----------
@@ -145,9 +156,14 @@ class ClockFit:
     """
 
     JUMP_ARRIVALS = 5
-    """So many arrivals in a row beyond `step_s` are a jump of the clock, not a late thread."""
-    MAX_SLEW = 500e-6
-    """A new line is approached at this rate, so that stamps stay evenly spaced."""
+    SETTLING_BUCKETS = 4
+    """So long each lower arrival bends the chain at once, with the greatest slew."""
+    MAX_SLEW = 0.1
+    """The chain's slope stays this close to 1, so it always rises."""
+    SLEW_BUCKETS = 8
+    """A correction is spread over so many buckets: 1 ms over 4 s changes 10 ms by 2.5 µs."""
+    KNOTS = 32
+    RESIDUALS = 128
 
     def __init__(
         self,
@@ -164,13 +180,14 @@ class ClockFit:
         self._reset()
 
     def _reset(self) -> None:
-        self._origin_ns: int | None = None  # device time
+        self._origin_ns: int | None = None  # device time of the first arrival
         self._base_ns = 0  # arrival − device time of the first arrival
-        self._minima: list[tuple[int, int]] = []  # (device − origin, delay − base), per bucket
-        self._offset_ns = 0.0  # of the line in use, at _anchor_ns
-        self._anchor_ns = 0
+        self._newest_ns = 0  # since origin, like all below
+        self._minima: list[tuple[int, int]] = []  # (device, delay over base), one per bucket
+        self._knots: list[tuple[int, float, float]] = []  # (device, offset over base, slope)
         self._skew = 0.0
         self._jumps = 0
+        self._jump_since_ns = 0  # arrival of the first of them
         self._residuals: list[float] = []
 
     @property
@@ -179,92 +196,126 @@ class ClockFit:
 
     @property
     def skew(self) -> float:
-        """Host rate / device rate − 1 of the line in use."""
+        """Host rate / device rate − 1 of the fitted line."""
         return self._skew
 
     @property
     def offset_ns(self) -> int:
         """Host − device time now; 0 before the first arrival."""
-        return self._base_ns + round(self._offset_ns) if self.ready else 0
+        return self._base_ns + round(self._chain(self._newest_ns)) if self.ready else 0
 
     @property
     def residual_ns(self) -> float:
-        """Median delay above the line over the last arrivals."""
+        """Median delay above the fit over the last arrivals."""
         ordered = sorted(self._residuals)
         return ordered[len(ordered) // 2] if ordered else 0.0
+
+    def restart(self) -> None:
+        """Forget the fit: the device said itself that its clock started anew."""
+        self.restarts += 1
+        self._reset()
 
     def add(self, device_ns: int, arrival_ns: int) -> None:
         """Take note that what was stamped `device_ns` arrived at `arrival_ns`."""
         if self._origin_ns is None:
             self._origin_ns, self._base_ns = device_ns, arrival_ns - device_ns
-            self._minima = [(0, 0)]
+            self._minima, self._knots = [(0, 0)], [(0, 0.0, 0.0)]
             return
         elapsed_ns = device_ns - self._origin_ns
         delay_ns = arrival_ns - device_ns - self._base_ns
-        residual_ns = delay_ns - self._line(elapsed_ns)
+        residual_ns = delay_ns - self._chain(elapsed_ns)
         if abs(residual_ns) > self.step_ns:
-            self._jumps += 1
-            if self._jumps >= self.JUMP_ARRIVALS:
-                self.restarts += 1
-                self._reset()
-                self.add(device_ns, arrival_ns)
+            self._suspect_jump(device_ns, arrival_ns, early=residual_ns < 0)
             return
         self._jumps = 0
+        self._newest_ns = max(self._newest_ns, elapsed_ns)
         self._residuals.append(residual_ns)
-        if len(self._residuals) > 128:
-            del self._residuals[:64]
+        if len(self._residuals) > self.RESIDUALS:
+            del self._residuals[: self.RESIDUALS // 2]
+        self._take_minimum(elapsed_ns, delay_ns)
+
+    def _take_minimum(self, elapsed_ns: int, delay_ns: int) -> None:
         last_ns, lowest_ns = self._minima[-1]
-        if elapsed_ns // self.bucket_ns == last_ns // self.bucket_ns:
-            if delay_ns < lowest_ns:
-                self._minima[-1] = (elapsed_ns, delay_ns)
-        elif elapsed_ns > last_ns:
+        bucket = elapsed_ns // self.bucket_ns - last_ns // self.bucket_ns
+        if bucket > 0:
+            self._refit()  # the bucket that ends is complete, the one that begins is not
             self._minima.append((elapsed_ns, delay_ns))
             del self._minima[: -self.buckets]
-            self._refit(elapsed_ns)
+        elif bucket == 0 and delay_ns < lowest_ns:
+            self._minima[-1] = (elapsed_ns, delay_ns)
+            if len(self._minima) <= self.SETTLING_BUCKETS:
+                self._refit()
+
+    def _suspect_jump(self, device_ns: int, arrival_ns: int, *, early: bool) -> None:
+        if self._jumps == 0:
+            self._jump_since_ns = arrival_ns
+        self._jumps += 1
+        lasting = early or arrival_ns - self._jump_since_ns >= self.step_ns
+        if self._jumps >= self.JUMP_ARRIVALS and lasting:
+            self.restart()
+            self.add(device_ns, arrival_ns)
 
     def host_ns(self, device_ns: int) -> int:
         """Map a device instant to host time; needs at least one arrival."""
         if self._origin_ns is None:
             raise ValueError("ClockFit.host_ns before the first arrival")
-        elapsed_ns = device_ns - self._origin_ns
-        return device_ns + self._base_ns + round(self._line(elapsed_ns))
+        return device_ns + self._base_ns + round(self._chain(device_ns - self._origin_ns))
 
-    def _line(self, elapsed_ns: int) -> float:
-        return self._offset_ns + self._skew * (elapsed_ns - self._anchor_ns)
+    def _chain(self, elapsed_ns: int) -> float:
+        """Offset over base of the curve in use."""
+        for knot_ns, offset_ns, slope in reversed(self._knots):
+            if knot_ns <= elapsed_ns:
+                return offset_ns + slope * (elapsed_ns - knot_ns)
+        knot_ns, offset_ns, slope = self._knots[0]
+        return offset_ns + slope * (elapsed_ns - knot_ns)
 
-    def _refit(self, now_ns: int) -> None:
-        """Move the line in use towards the window's supporting line."""
-        skew, offset_ns = _supporting_line(self._minima, self.max_skew)
-        target_ns = offset_ns + skew * now_ns
-        current_ns = self._line(now_ns)
-        limit_ns = self.MAX_SLEW * self.bucket_ns
-        settling = len(self._minima) <= 4  # the first two seconds find the offset quickly
-        step_ns = target_ns - current_ns
-        if not settling:
-            step_ns = max(-limit_ns, min(limit_ns, step_ns))
-        self._offset_ns, self._anchor_ns, self._skew = current_ns + step_ns, now_ns, skew
+    def _refit(self) -> None:
+        """Bend the curve, from the newest arrival on, towards the window's supporting line."""
+        self._skew, intercept_ns = _supporting_line(self._minima, self.max_skew)
+        now_ns = self._newest_ns
+        current_ns = self._chain(now_ns)
+        target_ns = intercept_ns + self._skew * now_ns
+        error_ns = target_ns - current_ns
+        slew_ns = abs(error_ns) / (self.MAX_SLEW - self.max_skew)
+        if len(self._minima) > self.SETTLING_BUCKETS:
+            slew_ns = max(slew_ns, self.SLEW_BUCKETS * self.bucket_ns)
+        until_ns = now_ns + int(slew_ns) + 1
+        slope = self._skew + error_ns / (until_ns - now_ns)
+        end_ns = target_ns + self._skew * (until_ns - now_ns)
+        past = [knot for knot in self._knots if knot[0] < now_ns][-self.KNOTS :]
+        self._knots = [*past, (now_ns, current_ns, slope), (until_ns, end_ns, self._skew)]
 
-    def snapshot(self) -> dict[str, object]:
+    def snapshot(self) -> dict[str, Any]:
         return {
             "origin_ns": self._origin_ns,
             "base_ns": self._base_ns,
+            "newest_ns": self._newest_ns,
             "minima": [list(pair) for pair in self._minima],
-            "offset_ns": self._offset_ns,
-            "anchor_ns": self._anchor_ns,
+            "knots": [list(knot) for knot in self._knots],
             "skew": self._skew,
             "jumps": self._jumps,
+            "jump_since_ns": self._jump_since_ns,
             "residuals": list(self._residuals),
             "restarts": self.restarts,
         }
 
-    def restore(self, state: dict[str, object]) -> None:
-        values = dict(state)
-        self.restarts = values.pop("restarts")  # type: ignore[assignment]
-        minima: list[list[int]] = values.pop("minima")  # type: ignore[assignment]
-        self._minima = [(pair[0], pair[1]) for pair in minima]
-        self._residuals = list(values.pop("residuals"))  # type: ignore[call-overload]
-        for name, value in values.items():
-            setattr(self, f"_{name}", value)
+    def restore(self, state: dict[str, Any]) -> None:
+        self._origin_ns = state["origin_ns"]
+        self._base_ns = state["base_ns"]
+        self._newest_ns = state["newest_ns"]
+        self._minima = [(device_ns, delay_ns) for device_ns, delay_ns in state["minima"]]
+        self._knots = [
+            (device_ns, offset_ns, slope) for device_ns, offset_ns, slope in state["knots"]
+        ]
+        self._skew = state["skew"]
+        self._jumps = state["jumps"]
+        self._jump_since_ns = state["jump_since_ns"]
+        self._residuals = list(state["residuals"])
+        self.restarts = state["restarts"]
+
+
+MIN_POINTS = 8
+"""Fewer buckets are too short to tell skew from jitter."""
 
 
 def _supporting_line(points: list[tuple[int, int]], max_skew: float) -> tuple[float, float]:
@@ -277,14 +328,13 @@ def _supporting_line(points: list[tuple[int, int]], max_skew: float) -> tuple[fl
         while len(hull) >= 2 and _turns_right(hull[-2], hull[-1], point):
             hull.pop()
         hull.append(point)
-    mean = sum(x for x, _ in points) / len(points)
     slope = 0.0
-    for left, right in zip(hull, hull[1:], strict=False):
-        slope = (right[1] - left[1]) / (right[0] - left[0])
-        if right[0] >= mean:
-            break
-    if len(points) < 8:
-        slope = 0.0  # too short to tell skew from jitter
+    if len(points) >= MIN_POINTS:
+        mean = sum(x for x, _ in points) / len(points)
+        for left, right in pairwise(hull):
+            slope = (right[1] - left[1]) / (right[0] - left[0])
+            if right[0] >= mean:
+                break
     slope = max(-max_skew, min(max_skew, slope))
     return slope, min(y - slope * x for x, y in hull)
 

@@ -8,11 +8,12 @@ stamp marks is the key's `instant`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
 from tramstream.proto import estimate_pb2, gnss_pb2, health_pb2, raw_pb2, sync_pb2
@@ -35,15 +36,15 @@ class Key:
     rate_hz: float
     instant: str
     doc: str
+    path: str = field(init=False)
+    encoding: str = field(init=False)
+    """The zenoh encoding declared on every put."""
 
-    @property
-    def path(self) -> str:
-        return f"{self.layer}/{self.source}/{self.quantity}"
-
-    @property
-    def encoding(self) -> str:
-        """The zenoh encoding declared on every put."""
-        return f"application/protobuf;{self.type.DESCRIPTOR.full_name}"
+    def __post_init__(self) -> None:
+        # Stored, not computed: every message on its way asks for them.
+        object.__setattr__(self, "path", f"{self.layer}/{self.source}/{self.quantity}")
+        name = self.type.DESCRIPTOR.full_name
+        object.__setattr__(self, "encoding", f"application/protobuf;{name}")
 
     def on(self, vehicle: str) -> str:
         """Full key on `vehicle`."""
@@ -127,6 +128,16 @@ ALL: tuple[Key, ...] = tuple(value for value in list(globals().values()) if isin
 _BY_PATH = {key.path: key for key in ALL}
 
 
+def alive(vehicle: str, node: str) -> str:
+    """Liveliness token of a node: gone within milliseconds when its process dies."""
+    return f"{ROOT}/{vehicle}/health/{node}/alive"
+
+
+def schema(type_name: str) -> str:
+    """Where the router answers with the FileDescriptorSet of a message type."""
+    return f"{ROOT}/schema/{type_name}"
+
+
 def find(path: str) -> Key | None:
     """The key at `path` (`layer/source/quantity`), or None if nobody defined it."""
     key = _BY_PATH.get(path)
@@ -154,3 +165,20 @@ def _match(pattern: list[str], parts: list[str]) -> bool:
     if pattern[0] == "**":
         return any(_match(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
     return bool(parts) and pattern[0] in ("*", parts[0]) and _match(pattern[1:], parts[1:])
+
+
+def descriptor_set(type_: Any) -> FileDescriptorSet:
+    """Everything that is needed to decode a message type without our code."""
+    found = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:
+        if file.name in seen:
+            return
+        seen.add(file.name)
+        for dependency in file.dependencies:
+            add(dependency)
+        file.CopyToProto(found.file.add())
+
+    add(type_.DESCRIPTOR.file)
+    return found

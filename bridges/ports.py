@@ -1,0 +1,390 @@
+"""The devices: serial lines and CAN. Nothing else in tramstream opens one.
+
+A port opens, reads what there is, notes the arrival on the vehicle clock, and closes. It knows no
+message of the device. Whatever happens to a device becomes a `DeviceError` with one sentence; the
+loop (`tramstream.ports.PortReader`) then opens it again.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import socket
+import termios
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import serial
+from tramstream.bridges import socketcan
+from tramstream.bridges.canframe import (
+    ERROR,
+    EXTENDED,
+    FD,
+    REMOTE,
+    CanFrame,
+    SlcanLines,
+    host_overflow,
+    pack,
+)
+
+from tramstream import keys
+from tramstream.clock import S, VehicleClock
+from tramstream.config import Odometer, Vehicle
+from tramstream.errors import ConfigError, DeviceError
+from tramstream.keys import Key
+from tramstream.proto.raw_pb2 import CanFrames, RawBytes
+
+WAIT_S = 0.2
+"""A read blocks no longer than this, so that the loop notices when it shall stop."""
+READ_LIMIT = 65536
+IMU_GATHER_S = 0.005
+GNSS_GATHER_S = 0.01
+CAN_GATHER_S = 0.02
+FRAME_LIMIT = 4096
+PTY_FOLDER = "/dev/pts/"
+
+_GONE = (OSError, termios.error)
+"""What the kernel says about a device that is no longer there; closing one says it again."""
+_CURES = {
+    errno.ENOENT: "there is no such device; plug it in or correct {field}",
+    errno.ENXIO: "there is no device behind this name; plug it in or correct {field}",
+    errno.ENODEV: "there is no device behind this name; plug it in or correct {field}",
+    errno.EACCES: "no permission; add this user to the group dialout "
+    "(sudo usermod -aG dialout $USER) and log in again",
+    errno.EPERM: "no permission; add this user to the group dialout "
+    "(sudo usermod -aG dialout $USER) and log in again",
+    errno.EBUSY: "another program uses it; stop that one (fuser shows which)",
+    errno.EAGAIN: "another program uses it; stop that one (fuser shows which)",
+}
+
+
+class SerialPort:
+    """A serial line, 8N1 without flow control, held exclusively.
+
+    After the first byte the port waits for `gather_s` and takes what has come by then: a burst of
+    bytes costs one wake-up instead of many.
+    """
+
+    def __init__(
+        self,
+        key: Key,
+        path: str,
+        baud_rate: int,
+        clock: VehicleClock,
+        gather_s: float = IMU_GATHER_S,
+    ) -> None:
+        self.key = key
+        self.device = path
+        self.baud_rate = baud_rate
+        self.gather_s = gather_s
+        self._clock = clock
+        self._line: Any = None
+
+    def open(self) -> None:
+        """Open the line; what the kernel kept from before is thrown away, it has no arrival.
+
+        Raises
+        ------
+        DeviceError
+            One sentence with path and cure.
+        """
+        self.close()
+        self._line = _open_line(self.device, self.baud_rate, f"$.{self.key.source}.device")
+
+    def read(self) -> RawBytes | None:
+        """Bytes that came, stamped when they were read; None after `WAIT_S` without one.
+
+        Raises
+        ------
+        DeviceError
+            If the line is gone.
+        """
+        if self._line is None:
+            raise DeviceError(f"{self.device}: read before it was opened")
+        descriptor = self._line.fileno()
+        if not _wait(descriptor, WAIT_S):
+            return None
+        time.sleep(self.gather_s)
+        data = _drain(descriptor, self.device)
+        return RawBytes(stamp_ns=self._clock.now_ns(), device=self.device, data=data)
+
+    def close(self) -> None:
+        line, self._line = self._line, None
+        if line is not None:
+            with suppress(*_GONE):
+                line.close()
+
+
+class CanPort:
+    """A CAN bus through any interface of python-can, read in gathers of up to `CAN_GATHER_S`.
+
+    socketcan and slcan are opened by python-can and read here: one wake-up for many frames, losses
+    of the host's queue counted (they come as error frames, `canframe.HOST_OVERFLOW`), no exception
+    for a garbled line.
+    """
+
+    def __init__(self, config: Odometer, clock: VehicleClock) -> None:
+        self.key = keys.ODO_FRAMES
+        self.device = config.channel
+        self._config = config
+        self._clock = clock
+        self._bus: Any = None
+        self._index = 0  # of the network interface when it was opened
+        self._dropped = 0  # the socket's own count
+        self._failure: OSError | None = None  # comes once only, and after frames that were good
+        self._lines = SlcanLines()
+        self._heard_s = 0.0
+        self._failures: tuple[type[Exception], ...] = _GONE
+
+    def open(self) -> None:
+        """Open the bus.
+
+        Raises
+        ------
+        DeviceError
+            One sentence with the interface and the cure.
+        """
+        import can  # heavy: only the process that reads CAN pays for it
+
+        self.close()
+        self._failures = (can.CanError, *_GONE)
+        if self._config.interface == "socketcan":
+            self._index = _interface_index(self._config)
+        elif self._config.interface == "slcan":
+            # Opened twice: only this way a missing or busy line gets its own sentence.
+            _open_line(self.device, 115200, "$.odometer.channel").close()
+        try:
+            self._bus = can.Bus(**self._options())
+            if self._config.interface == "socketcan":
+                socketcan.prepare(self._bus.socket)
+            elif self._config.interface == "slcan":
+                self._bus.serialPortOrig.exclusive = True
+        except (*self._failures, ValueError, NotImplementedError, ImportError) as error:
+            self.close()
+            raise DeviceError(
+                f"{self.device}: cannot open CAN interface '{self._config.interface}' ({error}); "
+                "check $.odometer.interface, channel and bitrate"
+            ) from error
+        self._dropped, self._failure, self._lines = 0, None, SlcanLines()
+        self._heard_s = time.monotonic()
+
+    def _options(self) -> dict[str, Any]:
+        config = self._config
+        options: dict[str, Any] = {"interface": config.interface, "channel": config.channel}
+        if config.interface == "socketcan":
+            return options | {"fd": True}  # bit rate: `ip link`, not ours to set
+        if config.interface in ("virtual", "udp_multicast"):
+            return options
+        if config.interface == "slcan" and os.path.realpath(config.channel).startswith(PTY_FOLDER):
+            options["sleep_after_open"] = 0.0  # python-can waits 2 s for boot loaders otherwise
+        return options | {"bitrate": config.bitrate}
+
+    def read(self) -> CanFrames | None:
+        """Frames that came, or None after `WAIT_S` without one.
+
+        Raises
+        ------
+        DeviceError
+            If the interface is down, gone or replaced.
+        """
+        if self._bus is None:
+            raise DeviceError(f"{self.device}: read before it was opened")
+        try:
+            if self._failure is not None:
+                raise self._failure
+            if self._config.interface == "socketcan":
+                frames = self._read_socket()
+            elif self._config.interface == "slcan":
+                frames = self._read_line()
+            else:
+                frames = self._read_any()
+        except self._failures as error:
+            raise DeviceError(
+                f"{self.device}: the CAN interface is lost ({error}); check cable and adapter, or "
+                f"bring it up: ip link set {self.device} up"
+            ) from error
+        if not frames:
+            self._check_silence()
+            return None
+        self._heard_s = time.monotonic()
+        message: CanFrames = pack(frames, self.device)
+        return message
+
+    def _read_socket(self) -> list[CanFrame]:
+        """Take all that waits in the socket; the kernel stamped each frame when it came."""
+        frames: list[CanFrame] = []
+        bus_socket: socket.socket = self._bus.socket
+        if not _wait(bus_socket.fileno(), WAIT_S):
+            return frames
+        time.sleep(CAN_GATHER_S)
+        while len(frames) < FRAME_LIMIT:
+            try:
+                octets, ancillary, _, _ = bus_socket.recvmsg(
+                    socketcan.FD_SIZE, socketcan.ANCILLARY_SIZE, socket.MSG_DONTWAIT
+                )
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._failure = error
+                break
+            stamped_s, dropped = socketcan.read_ancillary(ancillary, self._dropped)
+            stamp_ns = self._arrival_ns(stamped_s)
+            if dropped != self._dropped:
+                lost = (dropped - self._dropped) & 0xFFFFFFFF
+                frames.append(host_overflow(stamp_ns, self.device, lost))
+                self._dropped = dropped
+            frames.append(CanFrame(stamp_ns, self.device, *socketcan.from_struct(octets)))
+        if self._failure is not None and not frames:
+            raise self._failure
+        return frames
+
+    def _read_line(self) -> list[CanFrame]:
+        """Take the adapter's lines as they come: nobody else notes their arrival."""
+        frames: list[CanFrame] = []
+        descriptor = self._bus.fileno()
+        timeout_s, end_s = WAIT_S, time.monotonic() + WAIT_S
+        while timeout_s > 0 and _wait(descriptor, timeout_s):
+            data = _drain(descriptor, self.device)
+            stamp_ns = self._clock.now_ns()
+            contents = self._lines.feed(data)
+            if contents and not frames:
+                end_s = time.monotonic() + CAN_GATHER_S
+            frames += [CanFrame(stamp_ns, self.device, *content) for content in contents]
+            timeout_s = end_s - time.monotonic()
+        return frames
+
+    def _read_any(self) -> list[CanFrame]:
+        frames: list[CanFrame] = []
+        timeout_s, end_s = WAIT_S, 0.0
+        while timeout_s > 0 and len(frames) < FRAME_LIMIT:
+            message = self._bus.recv(timeout_s)
+            if message is None:
+                break
+            if not frames:
+                end_s = time.monotonic() + CAN_GATHER_S
+            flags = EXTENDED * bool(message.is_extended_id) | REMOTE * bool(message.is_remote_frame)
+            if message.is_error_frame:
+                flags = ERROR
+            flags |= FD * bool(message.is_fd)
+            id_, data = message.arbitration_id, bytes(message.data)
+            stamp_ns = self._arrival_ns(message.timestamp)
+            frames.append(CanFrame(stamp_ns, self.device, id_, flags, data))
+            timeout_s = end_s - time.monotonic()
+        return frames
+
+    def _arrival_ns(self, stamped_s: float) -> int:
+        """Vehicle time of a frame that was stamped with the host's wall clock.
+
+        The wall clock may be set at any moment and some adapters stamp with their own, so only the
+        age of a frame is taken from it, and only where it can be one: frames wait for less than a
+        second. Anything else counts as having come just now.
+        """
+        age_s = time.time() - stamped_s
+        now_ns = self._clock.now_ns()
+        if 0.0 <= age_s < 1.0:
+            return now_ns - int(age_s * self._clock.rate * S)
+        return now_ns
+
+    def _check_silence(self) -> None:
+        """After long silence, look whether the interface is still the one that was opened.
+
+        One that was removed and made anew keeps its name, but the old socket stays silent for ever.
+        """
+        now_s = time.monotonic()
+        if now_s - self._heard_s < self._config.silence_s:
+            return
+        self._heard_s = now_s
+        if self._config.interface == "socketcan" and _interface_index(self._config) != self._index:
+            raise DeviceError(f"{self.device}: the interface was made anew; opening it again")
+
+    def close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with suppress(*self._failures):
+                bus.shutdown()
+
+
+def gnss_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
+    """Port of the receiver, unopened."""
+    if vehicle.gnss is None:
+        raise ConfigError("$.gnss: missing; it names the receiver's serial line")
+    gnss = vehicle.gnss
+    return SerialPort(keys.GNSS_BYTES, gnss.device, gnss.baud_rate, clock, GNSS_GATHER_S)
+
+
+def imu_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
+    """Port of the microcontroller in front of the IMU, unopened."""
+    if vehicle.imu is None:
+        raise ConfigError("$.imu: missing; it names the IMU's serial line")
+    return SerialPort(
+        keys.IMU_BYTES, vehicle.imu.device, vehicle.imu.baud_rate, clock, IMU_GATHER_S
+    )
+
+
+def odometer_port(vehicle: Vehicle, clock: VehicleClock) -> CanPort:
+    """Port of the vehicle bus, unopened."""
+    if vehicle.odometer is None:
+        raise ConfigError("$.odometer: missing; it names the CAN interface")
+    return CanPort(vehicle.odometer, clock)
+
+
+def _open_line(path: str, baud_rate: int, field: str) -> Any:
+    try:
+        return serial.Serial(path, baud_rate, timeout=0, exclusive=True)
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        number = error.errno if isinstance(error, OSError) else None
+        cure = _CURES.get(number or 0, "it cannot be set up as a serial line ({error})")
+        raise DeviceError(f"{path}: " + cure.format(field=field, error=error)) from error
+
+
+def _wait(descriptor: int, timeout_s: float) -> bool:
+    """Whether something happens within the time: bytes, or the end."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(max(1, int(timeout_s * 1000))))
+
+
+def _drain(descriptor: int, device: str) -> bytes:
+    """Everything that waits, at most `READ_LIMIT`, after `_wait` said that there is something."""
+    parts: list[bytes] = []
+    size = 0
+    failure: OSError | None = None
+    while size < READ_LIMIT:
+        try:
+            part = os.read(descriptor, READ_LIMIT - size)
+        except BlockingIOError:
+            break
+        except OSError as error:
+            failure = error
+            break
+        if not part:
+            break
+        parts.append(part)
+        size += len(part)
+    if not parts:  # ready, and yet nothing to read: the other end is gone
+        raise DeviceError(
+            f"{device}: the device was unplugged or hung up; check its cable and power"
+        ) from failure
+    return b"".join(parts)
+
+
+def _interface_index(config: Odometer) -> int:
+    """Index of the network interface, which has to be there and up."""
+    name = config.channel
+    try:
+        index = socket.if_nametoindex(name)
+        flags = int(Path("/sys/class/net", name, "flags").read_text(), 16)
+    except OSError as error:
+        raise DeviceError(
+            f"{name}: there is no such network interface; plug the adapter in, load its driver, or "
+            "correct $.odometer.channel (ip link shows what there is)"
+        ) from error
+    if not flags & socketcan.IFF_UP:
+        raise DeviceError(
+            f"{name}: the interface is down; sudo ip link set {name} up type can "
+            f"bitrate {config.bitrate} restart-ms 100"
+        )
+    return index

@@ -1,0 +1,89 @@
+"""`tramstream`: finds its verbs by entry point, one verb per file.
+
+A verb's module imports nothing heavy; what it needs it imports inside. Errors of
+`tramstream.errors` become one sentence on standard error and the exit status of the type:
+0 done, 1 the check does not hold, 2 bad usage or configuration, 3 data lost or damaged.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import entry_points
+from typing import Any
+
+import click
+import typer
+
+from tramstream import __version__
+from tramstream.errors import TramstreamError
+
+INTERRUPTED = 130
+"""What a shell reports for a program that Ctrl-C ended."""
+
+PANELS = {
+    "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
+    "Looking": ("top", "list", "echo", "hz", "bw", "info"),
+    "Records": ("replay", "reprocess", "import", "export", "recover"),
+    "Figures": ("reproduce", "bench"),
+}
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"tramstream {__version__}")
+        raise typer.Exit
+
+
+def _callback(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    """Localisation stack of a tram's onboard computer.
+
+    GNSS, IMU and wheels in; position, keys to watch and a replayable record out.
+    Start with `tramstream demo`.
+    """
+
+
+def make_app() -> typer.Typer:
+    """The program with every verb that is installed."""
+    app = typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        rich_markup_mode="rich",
+    )
+    app.callback()(_callback)
+    verbs: dict[str, Any] = {
+        point.name: point for point in entry_points(group="tramstream.verbs")
+    }
+    panel_of = {verb: panel for panel, names in PANELS.items() for verb in names}
+    order = [*panel_of, *sorted(set(verbs) - set(panel_of))]
+    for name in order:
+        if name in verbs:
+            app.command(name, rich_help_panel=panel_of.get(name))(verbs[name].load())
+    return app
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        status = make_app()(standalone_mode=False)
+    except TramstreamError as error:
+        print(f"tramstream: {error}", file=sys.stderr)
+        status = error.exit_status
+    except click.ClickException as error:
+        error.show()
+        status = error.exit_code
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        status = INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone: `tramstream echo … | head`
+        status = 0
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""What verbs on the bus share: the configuration, the clock, signals, a way to find the vehicle."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from tramstream import config, keys
+from tramstream.bus import Bus, ZenohBus
+from tramstream.clock import VehicleClock
+from tramstream.errors import BusError
+
+
+def say(text: str) -> None:
+    """One line for people, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def stop_on_signals() -> threading.Event:
+    """An event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts for good."""
+    stop = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set() and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        stop.set()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+    return stop
+
+
+@contextmanager
+def client(runtime_dir: Path | None = None) -> Iterator[Bus]:
+    """A session on the bus of `runtime_dir` (default: the user's), closed at the end.
+
+    Raises
+    ------
+    BusError
+        If there is no bus.
+    """
+    folder = runtime_dir or config.default_runtime_dir()
+    bus = ZenohBus.connect(folder, VehicleClock.shared(folder))
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def vehicle_on(bus: Bus, wanted: str = "") -> str:
+    """The vehicle to look at: `wanted`, or the only one that has nodes on the bus.
+
+    Raises
+    ------
+    BusError
+        If there is none, or several and none is wanted.
+    """
+    tokens = bus.alive(keys.alive("*", "*"))
+    vehicles = sorted({keys.split(token)[0] for token in tokens})
+    if wanted:
+        return wanted
+    if len(vehicles) == 1:
+        return vehicles[0]
+    if not vehicles:
+        raise BusError("the bus has no nodes; start `tramstream run`, `demo` or `replay`")
+    raise BusError(f"several vehicles are on the bus ({', '.join(vehicles)}); choose with --vehicle")

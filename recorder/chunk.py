@@ -1,0 +1,229 @@
+"""One chunk: encoded so that its torn remains can be read, and decoded as far as it can be proved.
+
+A zstd frame that is cut gives nothing back before the end of a block, and its blocks are as long as
+128 kB. So the frame is flushed (FLUSH_BLOCK) after every record that completes `BLOCK_BYTES` of
+records: a block then ends where a record ends, and a cut loses only the block it goes through.
+Measured on live traffic (570 messages/s, 147 kB/s, a chunk every 0.25 s; zstandard 0.25, level 3),
+file size against one frame without flushes, and with the guard's 8 bytes a block::
+
+    a block a message   +3.6 %   with guard +8.0 %
+    512 bytes           +0.7 %              +1.9 %
+    1 kB                 0.0 %              +0.8 %     <- BLOCK_BYTES: about 5 messages, 7 ms
+    4 kB                -1.3 %              -0.9 %
+    16 kB               +0.2 %              +0.5 %
+
+(Blocks near 4 kB even help: they suit the change between noise and text.) Encoding costs about
+1 µs a message more than one frame.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import NamedTuple
+
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
+
+from tramstream.errors import RecordError
+from tramstream.recorder.layout import (
+    CHUNK,
+    CHUNK_ZSTD,
+    GUARD,
+    GUARD_MAGIC,
+    RECORD,
+    message_index,
+)
+
+BLOCK_BYTES = 1024
+_GUARD_HEAD = struct.Struct(f"<8s8s{CHUNK_ZSTD.size}sI")
+
+
+class Guard(NamedTuple):
+    """What stands before a chunk of ours: its head once more, and (length, CRC-32) of each block."""
+
+    file_id: bytes
+    head: bytes
+    blocks: tuple[tuple[int, int], ...]
+
+
+class ChunkHead(NamedTuple):
+    """Everything of a chunk but its data. `data_offset` counts from the record's first byte."""
+
+    start_ns: int
+    end_ns: int
+    raw_size: int
+    crc: int
+    compression: str
+    data_offset: int
+    data_size: int
+
+
+class Restored(NamedTuple):
+    """Records of a chunk: all of them if `whole`, else those that could be proved or are likely."""
+
+    raw: bytes
+    whole: bool
+
+
+def encode_chunk(
+    compressor: zstandard.ZstdCompressor,
+    raw: bytearray,
+    marks: list[int],
+    index: dict[int, list[int]],
+    file_id: bytes,
+) -> tuple[bytes, bytes, bytes, ChunkIndex]:
+    """Guard, chunk and message indexes of `raw`, and a ChunkIndex with offsets from the chunk.
+
+    `marks` are the ends of records after which a block ends; `index` alternates log time and offset
+    for each channel.
+    """
+    frame = compressor.compressobj(size=len(raw))
+    data, blocks, begin = [], [], 0
+    with memoryview(raw) as view:
+        for mark in marks:
+            block = frame.compress(view[begin:mark])
+            block += frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+            data.append(block)
+            begin = mark
+        data.append(frame.compress(view[begin:]) + frame.flush())
+        crc = zlib.crc32(view)
+    for block in data:
+        blocks += [len(block), zlib.crc32(block)]
+    size = sum(map(len, data))
+    start_ns = min(min(entries[::2]) for entries in index.values())
+    end_ns = max(max(entries[::2]) for entries in index.values())
+    head = CHUNK_ZSTD.pack(
+        Opcode.CHUNK, CHUNK_ZSTD.size - 9 + size, start_ns, end_ns, len(raw), crc, 4, b"zstd", size
+    )
+    content = _GUARD_HEAD.pack(GUARD_MAGIC, file_id, head, len(data))
+    content += struct.pack(f"<{len(blocks)}I", *blocks)
+    content += struct.pack("<I", zlib.crc32(content))
+    indexes, offsets, length = [], {}, CHUNK_ZSTD.size + size
+    for channel_id, entries in index.items():
+        indexes.append(message_index(channel_id, entries))
+        offsets[channel_id] = length
+        length += len(indexes[-1])
+    entry = ChunkIndex(
+        chunk_length=CHUNK_ZSTD.size + size,
+        chunk_start_offset=0,
+        compression="zstd",
+        compressed_size=size,
+        message_end_time=end_ns,
+        message_index_length=length - CHUNK_ZSTD.size - size,
+        message_index_offsets=offsets,
+        message_start_time=start_ns,
+        uncompressed_size=len(raw),
+    )
+    guard = RECORD.pack(GUARD, len(content)) + content
+    return guard, b"".join([head, *data]), b"".join(indexes), entry
+
+
+def guard_bytes(content: bytes) -> int:
+    """Length of the guard record whose content begins with `content`, by its count of blocks."""
+    if len(content) < _GUARD_HEAD.size:
+        return 0
+    (count,) = struct.unpack_from("<I", content, _GUARD_HEAD.size - 4)
+    return int(RECORD.size + _GUARD_HEAD.size + 8 * count + 4)
+
+
+def read_guard(content: bytes) -> Guard | None:
+    """The guard at the front of `content`, or None if its checksum does not hold."""
+    if len(content) < _GUARD_HEAD.size + 4:
+        return None
+    magic, file_id, head, count = _GUARD_HEAD.unpack_from(content)
+    end = _GUARD_HEAD.size + 8 * count
+    if magic != GUARD_MAGIC or len(content) < end + 4:
+        return None
+    if struct.pack("<I", zlib.crc32(content[:end])) != content[end : end + 4]:
+        return None
+    pairs = struct.unpack_from(f"<{2 * count}I", content, _GUARD_HEAD.size)
+    return Guard(file_id, head, tuple(zip(pairs[::2], pairs[1::2], strict=True)))
+
+
+def read_chunk_head(head: bytes) -> ChunkHead | None:
+    """The head at the start of a chunk record, or None if its lengths contradict each other."""
+    if len(head) < CHUNK.size + 4:
+        return None
+    opcode, length, start_ns, end_ns, raw_size, crc = CHUNK.unpack_from(head)
+    (size,) = struct.unpack_from("<I", head, CHUNK.size)
+    data_offset = CHUNK.size + 4 + size + 8
+    if opcode != Opcode.CHUNK or size > 4 or len(head) < data_offset:
+        return None
+    compression = head[CHUNK.size + 4 : CHUNK.size + 4 + size]
+    (data_size,) = struct.unpack_from("<Q", head, data_offset - 8)
+    if compression not in (b"", b"lz4", b"zstd") or RECORD.size + length != data_offset + data_size:
+        return None
+    return ChunkHead(start_ns, end_ns, raw_size, crc, compression.decode(), data_offset, data_size)
+
+
+def decode_chunk(head: ChunkHead, data: bytes, guard: Guard | None, cut: bool) -> Restored:
+    """Records of a chunk whose data, whole or not, are `data`.
+
+    With a guard, only blocks whose checksum holds are used. Without one (foreign files) the remains
+    of a *cut* chunk are given back as far as they decompress; those of a damaged one never are.
+    """
+    if not cut:
+        raw = _decompress(head, data)
+        if raw is not None and (zlib.crc32(raw) == head.crc or (head.crc == 0 and guard is None)):
+            return Restored(raw, whole=True)
+    if guard is not None:
+        good = _proved_bytes(data, guard)
+        raw, whole = _prefix(data[:good]), good == sum(size for size, _ in guard.blocks)
+        return Restored(raw, whole)
+    if cut and head.compression == "zstd":
+        return Restored(_prefix(data), whole=False)
+    return Restored(data if cut and not head.compression else b"", whole=False)
+
+
+def _proved_bytes(data: bytes, guard: Guard) -> int:
+    """Length of the blocks at the front whose checksums hold."""
+    good = 0
+    for size, crc in guard.blocks:
+        if good + size > len(data) or zlib.crc32(data[good : good + size]) != crc:
+            break
+        good += size
+    return good
+
+
+def _prefix(data: bytes) -> bytes:
+    """As much as the front of a zstd frame gives."""
+    frame = zstandard.ZstdDecompressor().decompressobj()
+    raw = []
+    try:
+        for position in range(0, len(data), 64):  # what precedes an error is kept
+            raw.append(frame.decompress(data[position : position + 64]))
+            if frame.eof:
+                break
+    except zstandard.ZstdError:
+        pass
+    return b"".join(raw)
+
+
+def _decompress(head: ChunkHead, data: bytes) -> bytes | None:
+    try:
+        if head.compression == "zstd":
+            if zstandard.get_frame_parameters(data).content_size != head.raw_size:
+                return _streamed(head, data)
+            return zstandard.ZstdDecompressor().decompress(data)
+        if head.compression == "lz4":
+            return _lz4(data)
+    except (zstandard.ZstdError, RuntimeError, MemoryError):
+        return None  # damaged: the caller sees the same as from a wrong checksum
+    return data
+
+
+def _streamed(head: ChunkHead, data: bytes) -> bytes:
+    """A frame without its size in front: other writers stream, and say the size in the chunk."""
+    raw = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    return raw if len(raw) == head.raw_size else b""
+
+
+def _lz4(data: bytes) -> bytes:
+    try:
+        import lz4.frame  # foreign files only
+    except ImportError as error:
+        raise RecordError("a chunk is compressed with lz4; `pip install lz4` reads it") from error
+    raw: bytes = lz4.frame.decompress(data)
+    return raw

@@ -1,0 +1,169 @@
+"""One file of a record: opened by its summary, or by walking through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
+
+from tramstream.errors import RecordError
+from tramstream.recorder.chunk import Restored, decode_chunk, read_chunk_head, read_guard
+from tramstream.recorder.layout import (
+    COPY,
+    GUARD_MAGIC,
+    METADATA_NAME,
+    RECORD,
+    decode,
+    read_copy,
+    tally,
+)
+from tramstream.recorder.scan import Damage, Part, Scan, restore, scan
+from tramstream.recorder.source import Source
+from tramstream.recorder.summary import Contents, read_summary
+
+_LONGEST_GUARD_BYTES = 1 << 18
+
+
+@dataclass(slots=True)
+class Chunk:
+    """Where messages are; `channels` is empty if it is not known which."""
+
+    file: File
+    start_ns: int
+    end_ns: int
+    place: ChunkIndex | Part
+    channels: frozenset[int] = frozenset()
+
+
+@dataclass(slots=True)
+class File:
+    """One file of a record."""
+
+    path: Path
+    source: Source
+    metadata: dict[str, str] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int = 0
+    end_ns: int = 0
+    finished: bool = False
+    damages: list[Damage] = field(default_factory=list)
+    chunks: list[Chunk] = field(default_factory=list)
+    topics: dict[int, tuple[str, int]] = field(default_factory=dict)
+
+    @property
+    def session(self) -> str:
+        return self.metadata.get("session", "")
+
+    @property
+    def part(self) -> int:
+        text = self.metadata.get("part", "")
+        return int(text) if text.isdecimal() else 0
+
+
+def open_file(path: Path) -> File:
+    source = Source(path)
+    try:
+        if not source.size:
+            raise RecordError(f"{path}: is empty; it was created and never written, so delete it")
+        file = File(path, source)
+        summary = read_summary(source)
+        if summary is not None:
+            _by_summary(file, summary[0])
+        else:
+            _by_scan(file, scan(source))
+    except RecordError:
+        source.close()
+        raise
+    return file
+
+
+def _by_summary(file: File, contents: Contents) -> None:
+    file.finished = True
+    file.schemas, file.channels = contents.schemas, contents.channels
+    file.counts, file.start_ns, file.end_ns = contents.counts, contents.start_ns, contents.end_ns
+    for index in contents.metadata:
+        if index.name == METADATA_NAME:
+            file.metadata |= _metadata_at(file, index)
+    for chunk in contents.chunks:
+        ids = frozenset(chunk.message_index_offsets)
+        span = chunk.message_start_time, chunk.message_end_time
+        file.chunks.append(Chunk(file, *span, chunk, ids))
+
+
+def _metadata_at(file: File, index: MetadataIndex) -> dict[str, str]:
+    """Values of a metadata record; its copy goes first, for it has a checksum."""
+    head = file.source.read(index.offset + index.length, RECORD.size)
+    if len(head) == RECORD.size:
+        opcode, length = RECORD.unpack(head)
+        if opcode == COPY:
+            copy = read_copy(file.source.read(index.offset + index.length + RECORD.size, length))
+            if copy is not None:
+                return copy.metadata
+    record = decode(Metadata, file.source.read(index.offset + RECORD.size, index.length - 9))
+    if record is None:
+        file.damages.append(Damage(index.offset, index.length, "the record's metadata"))
+    return record.metadata if record is not None else {}
+
+
+def _by_scan(file: File, found: Scan) -> None:
+    if not found.parts and not found.begins_well:
+        raise RecordError(
+            f"{file.path}: is no record (it does not begin like an MCAP file and no message is in "
+            "it); check the name"
+        )
+    file.schemas, file.channels = found.schemas(), found.channels()
+    file.damages = found.damages
+    for _, metadata in found.proved_metadata or found.metadata:
+        if metadata.name == METADATA_NAME:
+            file.metadata |= metadata.metadata
+    for part in found.parts:
+        counted = part.tally
+        for id_, count in counted.counts.items():
+            file.counts[id_] = file.counts.get(id_, 0) + count
+        ids = frozenset(counted.counts)
+        file.chunks.append(Chunk(file, counted.start_ns, counted.end_ns, part, ids))
+    file.start_ns = min((chunk.start_ns for chunk in file.chunks), default=0)
+    file.end_ns = max((chunk.end_ns for chunk in file.chunks), default=0)
+    file.counts = {id_: count for id_, count in file.counts.items() if id_ in file.channels}
+
+
+def load(chunk: Chunk) -> Restored:
+    """Records of a chunk; what cannot be proved is left out and noted once."""
+    source, place = chunk.file.source, chunk.place
+    if isinstance(place, Part):
+        return restore(source, place)
+    record = source.read(place.chunk_start_offset, place.chunk_length)
+    head = read_chunk_head(record[:64])
+    restored = Restored(b"", whole=False)
+    if head is not None:
+        restored = decode_chunk(head, record[head.data_offset :], None, cut=False)
+    if not restored.whole:
+        restored = _by_guard(source, place)
+        if not restored.whole:
+            saved = sum(tally(restored.raw).counts.values())
+            what = f"a damaged chunk, {saved} messages of it saved"
+            damage = Damage(place.chunk_start_offset, place.chunk_length, what)
+            if damage not in chunk.file.damages:
+                chunk.file.damages.append(damage)
+    return restored
+
+
+def _by_guard(source: Source, place: ChunkIndex) -> Restored:
+    """What the guard before a damaged chunk can prove of it."""
+    begin = max(place.chunk_start_offset - _LONGEST_GUARD_BYTES, 0)
+    before = source.read(begin, place.chunk_start_offset - begin)
+    guard = read_guard(before[max(before.rfind(GUARD_MAGIC), 0) :])
+    head = read_chunk_head(guard.head) if guard is not None else None
+    if head is None or head.data_offset + head.data_size != place.chunk_length:
+        return Restored(b"", whole=False)
+    data = source.read(place.chunk_start_offset + head.data_offset, head.data_size)
+    return decode_chunk(head, data, guard, cut=False)
+
+
+def schema_version(file: File) -> int | None:
+    texts = [file.metadata.get("schema_version", "")]
+    texts += [channel.metadata.get("schema_version", "") for channel in file.channels.values()]
+    return next((int(text) for text in texts if text.isdecimal()), None)

@@ -1,0 +1,295 @@
+"""Read records: one file, several parts, a whole folder; finished, still written or damaged.
+
+`open_record` reads the summary of a finished file; where there is none, or it is damaged, it walks
+through the file (`tramstream.recorder.scan`). Messages come chunk by chunk with their checksums
+checked, in the order (log_ns, channel_id, sequence), also across chunks and parts whose times
+overlap. What is damaged is left out and stands in `damages`; it is never guessed at.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from operator import attrgetter, itemgetter
+from pathlib import Path
+from typing import Any
+
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import Message
+from google.protobuf.message_factory import GetMessageClass
+from mcap.records import Schema
+
+from tramstream import keys
+from tramstream.errors import RecordError
+from tramstream.recorder.files import File, load, open_file, schema_version
+from tramstream.recorder.layout import Entry, entries_of
+from tramstream.recorder.scan import Damage
+from tramstream.recorder.sink import ACTIVE
+
+__all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
+
+_ORDER = itemgetter(2, 5, 4)
+_LOG_NS = attrgetter("log_ns")
+_FOREVER_NS = 1 << 64
+
+
+@dataclass(slots=True)
+class ChannelInfo:
+    """One topic of a record."""
+
+    topic: str
+    schema: str
+    count: int
+    channel_id: int
+
+
+class Record:
+    """A record, whatever number of files it consists of. Made by `open_record`."""
+
+    def __init__(self, files: list[File]) -> None:
+        self.files = files
+        self.metadata = files[0].metadata
+        self.channels: dict[str, ChannelInfo] = {}
+        self._classes: dict[str, Any] = {}
+        ids: set[int] = set()
+        for file in files:
+            for id_, channel in file.channels.items():
+                info = self.channels.get(channel.topic)
+                if info is None:
+                    free = id_ if id_ not in ids else max(ids) + 1
+                    ids.add(free)
+                    schema = file.schemas.get(channel.schema_id)
+                    name = schema.name if schema else ""
+                    info = self.channels[channel.topic] = ChannelInfo(channel.topic, name, 0, free)
+                info.count += file.counts.get(id_, 0)
+                file.topics[id_] = (channel.topic, info.channel_id)
+
+    def __enter__(self) -> Record:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        for file in self.files:
+            file.source.close()
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files, in order."""
+        return [file.path for file in self.files]
+
+    @property
+    def vehicle(self) -> str:
+        """From the metadata, else from the keys; empty for a foreign file."""
+        for file in self.files:
+            if "vehicle" in file.metadata:
+                return file.metadata["vehicle"]
+        return next((name for topic in self.channels if (name := keys.split(topic)[0])), "")
+
+    @property
+    def schema_version(self) -> int | None:
+        """None for a file that tramstream did not write."""
+        return schema_version(self.files[0])
+
+    @property
+    def message_count(self) -> int:
+        return sum(info.count for info in self.channels.values())
+
+    @property
+    def start_ns(self) -> int:
+        """First arrival; 0 for a record without messages."""
+        return min((file.start_ns for file in self.files if file.counts), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Last arrival; 0 for a record without messages."""
+        return max((file.end_ns for file in self.files if file.counts), default=0)
+
+    @property
+    def size_bytes(self) -> int:
+        return sum(file.source.size for file in self.files)
+
+    @property
+    def damages(self) -> list[tuple[Path, Damage]]:
+        """Everything found damaged so far; chunks of a finished file are looked at when read."""
+        return [(file.path, damage) for file in self.files for damage in file.damages]
+
+    @property
+    def damaged(self) -> str:
+        """One sentence, empty if nothing is known to be damaged."""
+        damages = self.damages
+        if not damages:
+            return ""
+        path, first = damages[0]
+        more = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
+        return f"{path}: {first.length} bytes at {first.offset} are damaged ({first.what}){more}"
+
+    def messages(
+        self,
+        match: Callable[[str], bool] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Entry]:
+        """Messages with start_ns ≤ log_ns < end_ns on topics that `match` says yes to.
+
+        In the order (log_ns, channel_id, sequence). Channel ids count over all parts.
+        """
+        start, end = start_ns or 0, _FOREVER_NS if end_ns is None else end_ns
+        wanted = {
+            id(file): {
+                id_: known for id_, known in file.topics.items() if match is None or match(known[0])
+            }
+            for file in self.files
+        }
+        chunks = [
+            chunk
+            for file in self.files
+            for chunk in file.chunks
+            if chunk.end_ns >= start
+            and chunk.start_ns < end
+            and (not chunk.channels or not chunk.channels.isdisjoint(wanted[id(file)]))
+        ]
+        chunks.sort(key=attrgetter("start_ns"))
+        waiting: list[Entry] = []
+        for chunk in chunks:
+            if waiting and waiting[0].log_ns < chunk.start_ns:
+                ready = bisect_left(waiting, chunk.start_ns, key=_LOG_NS)
+                yield from waiting[:ready]
+                del waiting[:ready]
+            raw = load(chunk).raw
+            waiting += entries_of(raw, wanted[id(chunk.file)], start, end)
+            waiting.sort(key=_ORDER)
+        yield from waiting
+
+    def decode(self, entry: Entry) -> Any:
+        """The message of `entry`: our own type where we know it, else by the file's description.
+
+        Raises
+        ------
+        RecordError
+            If the file does not describe the type, or the payload is not of it.
+        """
+        class_ = self._classes.get(entry.topic)
+        if class_ is None:
+            class_ = self._classes[entry.topic] = self._class(entry.topic)
+        try:
+            return class_.FromString(entry.payload)
+        except Exception as error:
+            raise RecordError(
+                f"{self.files[0].path}: a message on {entry.topic} is no {self.type_of(entry.topic)}"
+                f" ({error}); the publisher's version differs"
+            ) from error
+
+    def type_of(self, topic: str) -> str:
+        """Full name of the topic's message type."""
+        return self.channels[topic].schema
+
+    def _class(self, topic: str) -> type[Message]:
+        name = self.type_of(topic)
+        key = keys.find(keys.split(topic)[1])
+        if key is not None and key.type.DESCRIPTOR.full_name == name:
+            return key.type
+        for file in self.files:
+            for schema in file.schemas.values():
+                if schema.name == name and schema.encoding == "protobuf":
+                    return _dynamic(schema)
+        raise RecordError(
+            f"{self.files[0].path}: {topic} has no protobuf description; use a reader of its encoding"
+        )
+
+
+def open_record(paths: Path | Iterable[Path], any_schema: bool = False) -> Record:
+    """Open a file, a folder, or several parts, which may be given in any order.
+
+    Parameters
+    ----------
+    paths : Path or iterable of Path
+    any_schema : bool
+        Open records of another schema version too (to describe or recover them).
+
+    Raises
+    ------
+    RecordError
+        If a file is no record, is empty, is of another schema version, or belongs to another
+        vehicle than the first.
+    """
+    names: list[Path] = []
+    for path in [paths] if isinstance(paths, Path) else paths:
+        names += _in_folder(path) if path.is_dir() else [path]
+    files: list[File] = []
+    try:
+        for name in names:
+            files.append(open_file(name))
+            if not any_schema:
+                _check_version(files[-1])
+        record = Record(_in_order(files))
+        _check_vehicle(record)
+    except RecordError:
+        for file in files:
+            file.source.close()
+        raise
+    return record
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    names = sorted(folder.glob("*.mcap")) + sorted(folder.glob(f"*.mcap{ACTIVE}"))
+    names = [name for name in names if name.stat().st_size]
+    if not names:
+        raise RecordError(f"{folder}: holds no record (*.mcap); name the folder that does")
+    return names
+
+
+def _in_order(files: list[File]) -> list[File]:
+    """Sessions by their start, then parts by their number."""
+    starts: dict[str, int] = {}
+    for file in files:
+        session = file.session or str(file.path)
+        starts[session] = min(starts.get(session, _FOREVER_NS), file.start_ns)
+
+    def order(file: File) -> tuple[int, str, int, int, str]:
+        session = file.session or str(file.path)
+        return (starts[session], session, file.part, file.start_ns, str(file.path))
+
+    return sorted(files, key=order)
+
+
+def _check_version(file: File) -> None:
+    version = schema_version(file)
+    if version is not None and version != keys.SCHEMA_VERSION:
+        raise RecordError(
+            f"{file.path}: has schema version {version}, this tramstream reads "
+            f"{keys.SCHEMA_VERSION}; read it with {file.metadata.get('software', 'the version')} "
+            "that wrote it"
+        )
+
+
+def _check_vehicle(record: Record) -> None:
+    vehicles = {
+        file.metadata["vehicle"]: file.path for file in record.files if "vehicle" in file.metadata
+    }
+    if len(vehicles) > 1:
+        (one, first), (other, second) = list(vehicles.items())[:2]
+        raise RecordError(
+            f"{second}: is a record of vehicle {other}, {first} one of {one}; name the files of one"
+        )
+
+
+def _dynamic(schema: Schema) -> type[Message]:
+    """The message class that a schema describes."""
+    files = {file.name: file for file in FileDescriptorSet.FromString(schema.data).file}
+    pool = DescriptorPool()
+
+    def add(name: str) -> None:
+        file = files.pop(name, None)
+        if file is not None:
+            for dependency in file.dependency:
+                add(dependency)
+            pool.Add(file)
+
+    for name in list(files):
+        add(name)
+    class_: type[Message] = GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return class_

@@ -1,0 +1,380 @@
+"""Walk through a file that may be cut or damaged and find everything in it that can be proved right.
+
+Each record is believed only if its lengths agree with each other; a chunk only if its checksum
+holds, else only those of its blocks that its guard vouches for. Where a record cannot be right, the
+walk goes on at the next guard, chunk or end of the data section, searched byte by byte from there:
+one wrong length costs one record, not the rest of the file. A summary whose checksum holds is used
+for definitions and for where the chunks are.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, McapRecord, Metadata, Schema
+
+from tramstream.recorder.chunk import (
+    ChunkHead,
+    Guard,
+    Restored,
+    decode_chunk,
+    guard_bytes,
+    read_chunk_head,
+    read_guard,
+)
+from tramstream.recorder.layout import (
+    COPY,
+    DATA_END_BYTES,
+    GUARD,
+    GUARD_MAGIC,
+    MAGIC,
+    MAX_RECORD_BYTES,
+    RECORD,
+    VOID,
+    Tally,
+    copy_of,
+    decode,
+    encode,
+    file_id_of,
+    read_copy,
+    tally,
+)
+from tramstream.recorder.source import Source
+from tramstream.recorder.summary import Contents, read_summary
+
+_WINDOW_BYTES = 1 << 20
+_HEAD_BYTES = 64
+_RUN_BYTES = 1 << 20
+_KINDS: dict[int, type[McapRecord]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+}
+_DATA_END = RECORD.pack(Opcode.DATA_END, 4)
+_COMPRESSIONS = tuple(struct.pack("<I", len(name)) + name for name in (b"zstd", b"lz4"))
+
+
+@dataclass(slots=True)
+class Damage:
+    """A stretch of the file that is not what was written, and what it cost."""
+
+    offset: int
+    length: int
+    what: str
+
+
+@dataclass(slots=True)
+class Part:
+    """One chunk as it was found, or a run of messages outside of chunks (`head` is None).
+
+    `begin` to `end` covers it with its guard and message indexes. `tally` counts what it gives.
+    """
+
+    begin: int
+    offset: int
+    end: int
+    head: ChunkHead | None
+    guard: Guard | None = None
+    whole: bool = True
+    tally: Tally = Tally({}, [], [], 0, 0, 0)
+    index_offsets: dict[int, int] = field(default_factory=dict)
+    index_bytes: int = 0
+
+
+@dataclass(slots=True)
+class Scan:
+    """What a walk through a file found."""
+
+    size: int
+    begins_well: bool = True
+    profile: str = ""
+    library: str = ""
+    file_id: bytes = b""
+    parts: list[Part] = field(default_factory=list)
+    damages: list[Damage] = field(default_factory=list)
+    plain: Contents = field(default_factory=Contents)
+    proved: Contents = field(default_factory=Contents)
+    metadata: list[tuple[int, Metadata]] = field(default_factory=list)
+    proved_metadata: list[tuple[int, Metadata]] = field(default_factory=list)
+    attachments: list[Attachment] = field(default_factory=list)
+    good_end: int = 0
+    finished: bool = False
+
+    def schemas(self) -> dict[int, Schema]:
+        """By id; what a checksum vouches for goes before what stands alone."""
+        return {**self.plain.schemas, **self.proved.schemas}
+
+    def channels(self) -> dict[int, Channel]:
+        return {**self.plain.channels, **self.proved.channels}
+
+
+def restore(source: Source, part: Part) -> Restored:
+    """The records of a part, as far as they can be had."""
+    if part.head is None:
+        return Restored(source.read(part.offset, part.end - part.offset), whole=True)
+    data = source.read(part.offset + part.head.data_offset, part.head.data_size)
+    cut = len(data) < part.head.data_size
+    restored = decode_chunk(part.head, data, part.guard, cut)
+    if restored.whole or part.guard is not None:
+        return restored
+    end = tally(restored.raw).end
+    return Restored(restored.raw[:end], whole=False)
+
+
+def scan(source: Source) -> Scan:
+    """Walk through `source`; see `Scan`."""
+    return _Walk(source).run()
+
+
+class _Walk:
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.found = Scan(source.size)
+        self.guard: tuple[int, int, Guard] | None = None  # begin, end, guard
+        self.end = source.size
+        self.hints: list[int] = []
+        self.ended = False  # past the end of data, in a summary that is not whole
+
+    def run(self) -> Scan:
+        found = self.found
+        summary = read_summary(self.source)
+        if summary is not None:
+            found.proved, self.end = summary
+            self.hints = sorted(chunk.chunk_start_offset for chunk in found.proved.chunks)
+            found.finished = True
+        position = len(MAGIC)
+        if self.source.read(0, position) != MAGIC:
+            found.begins_well = False
+            found.damages.append(Damage(0, min(position, found.size), "the file's first bytes"))
+        found.good_end = position
+        while position < self.end:
+            after = self._record(position)
+            if after is None:
+                after = self._next(position + 1)
+                self._lost(position, after - position)
+            position = after
+        return found
+
+    def _record(self, position: int) -> int | None:
+        """Take the record at `position`; where the next one begins, or None if it cannot be."""
+        head = self.source.read(position, _HEAD_BYTES)
+        if self.guard is not None and self.guard[1] == position:
+            return self._chunk(position, self.guard[2].head, self.guard)
+        if len(head) < RECORD.size:
+            return None
+        opcode, length = RECORD.unpack_from(head)
+        if opcode == Opcode.CHUNK:
+            return self._chunk(position, head, None)
+        if opcode == GUARD or head[9:17] == GUARD_MAGIC:
+            return self._guard(position)
+        after = int(position + RECORD.size + length)
+        if opcode == 0 or length > MAX_RECORD_BYTES or after > self.end:
+            return None
+        if opcode == Opcode.MESSAGE:  # in a file with chunks that is a damaged opcode
+            chunked = self.found.file_id or any(part.head for part in self.found.parts)
+            return None if chunked else self._run(position)
+        content = self.source.read(position + RECORD.size, length)
+        if not self._take(opcode, position, content):
+            return None
+        self.ended = self.ended or opcode == Opcode.DATA_END
+        if not self.ended:
+            self.found.good_end = after
+        return after
+
+    def _take(self, opcode: int, position: int, content: bytes) -> bool:
+        """Keep a record outside of chunks; False if it cannot be right."""
+        found = self.found
+        match opcode:
+            case Opcode.MESSAGE_INDEX:
+                return self._message_index(position, content)
+            case Opcode.DATA_END:
+                return len(content) == 4
+            case _ if opcode == COPY:
+                return self._copy(position, content)
+            case _ if opcode not in _KINDS:
+                return self._plausible(position + RECORD.size + len(content))
+        record = decode(_KINDS[opcode], content)
+        if record is None:
+            return False
+        exact = len(encode(record)) == RECORD.size + len(content)
+        if not exact and not self._plausible(position + RECORD.size + len(content)):
+            return False
+        match record:
+            case Header():
+                found.profile, found.library = record.profile, record.library
+            case Schema():
+                found.plain.schemas[record.id] = record
+            case Channel():
+                found.plain.channels[record.id] = record
+            case Metadata():
+                found.metadata.append((position, record))
+            case Attachment():
+                found.attachments.append(record)
+        return True
+
+    def _copy(self, position: int, content: bytes) -> bool:
+        metadata = read_copy(content)
+        if metadata is None:
+            return False
+        record = encode(metadata)
+        self.found.proved_metadata.append((position - len(record), metadata))
+        if not self.found.file_id:
+            self.found.file_id = file_id_of(record)
+        return len(content) == len(copy_of(record)) - RECORD.size
+
+    def _message_index(self, position: int, content: bytes) -> bool:
+        if len(content) < 6:
+            return False
+        channel_id, size = struct.unpack_from("<HI", content)
+        if size != len(content) - 6 or size % 16:
+            return False
+        part = self.found.parts[-1] if self.found.parts else None
+        if part is not None and part.end == position and part.whole:
+            part.index_offsets[channel_id] = position
+            part.index_bytes += RECORD.size + len(content)
+            part.end = position + RECORD.size + len(content)
+        return True
+
+    def _guard(self, position: int) -> int | None:
+        content = self.source.read(position + RECORD.size, _HEAD_BYTES + len(GUARD_MAGIC) * 4)
+        size = guard_bytes(content)
+        if not RECORD.size < size <= MAX_RECORD_BYTES or position + size > self.end:
+            return None
+        guard = read_guard(self.source.read(position + RECORD.size, size - RECORD.size))
+        if guard is None or (self.found.file_id or guard.file_id) != guard.file_id:
+            return None
+        self.found.file_id = guard.file_id
+        self.guard = (position, position + size, guard)
+        return position + size
+
+    def _chunk(
+        self, position: int, head: bytes, guarded: tuple[int, int, Guard] | None
+    ) -> int | None:
+        """Take the chunk at `position`; `guarded` is the guard right before it."""
+        self.guard = None
+        chunk = read_chunk_head(head)
+        if chunk is None or chunk.data_size > MAX_RECORD_BYTES:
+            return None
+        end = position + chunk.data_offset + chunk.data_size
+        begin, guard = (guarded[0], guarded[2]) if guarded else (position, None)
+        part = Part(begin, position, end, chunk, guard)
+        restored = restore(self.source, part)
+        part.whole, part.tally = restored.whole, tally(restored.raw)
+        if not part.whole and guard is None:
+            beyond = end > self.end and self._next(position + 1) >= self.end
+            if not beyond:  # damaged, not cut: nothing of it can be proved
+                return None
+        self._keep(part)
+        if part.whole:
+            self.found.good_end, self.ended = end, False
+            return end
+        after = end if end <= self.end and self._plausible(end) else self._next(position + 1)
+        part.end = after
+        self._lost(position, after - position, sum(part.tally.counts.values()))
+        return after
+
+    def _keep(self, part: Part) -> None:
+        counted = part.tally
+        proved = part.guard is not None or (part.whole and part.head is not None)
+        contents = self.found.proved if proved else self.found.plain
+        for schema in counted.schemas:
+            contents.schemas.setdefault(schema.id, schema)
+        for channel in counted.channels:
+            contents.channels.setdefault(channel.id, channel)
+        if counted.counts:
+            self.found.parts.append(part)
+
+    def _run(self, position: int) -> int | None:
+        """Take messages that stand outside of chunks (foreign files)."""
+        raw = self.source.read(position, min(_RUN_BYTES, self.end - position))
+        counted, end = Tally({}, [], [], 0, 0, 0), 0
+        while end + RECORD.size <= len(raw):
+            opcode, length = RECORD.unpack_from(raw, end)
+            if opcode != Opcode.MESSAGE or (length > len(raw) and end):
+                break
+            if end + RECORD.size + length > len(raw):
+                if end == 0 and position + RECORD.size + length <= self.end:
+                    raw = self.source.read(position, RECORD.size + length)
+                    end = len(raw)
+                break
+            end += RECORD.size + length
+        counted = tally(raw[:end])
+        known = self.found.channels()
+        if not counted.counts or any(id_ not in known for id_ in counted.counts):
+            return None
+        end = position + counted.end
+        self.found.parts.append(Part(position, position, end, None, tally=counted))
+        return end
+
+    def _plausible(self, position: int) -> bool:
+        """Whether a record may begin at `position`."""
+        head = self.source.read(position, RECORD.size)
+        if position >= self.end or len(head) < RECORD.size:
+            return position <= self.source.size
+        opcode, length = RECORD.unpack_from(head)
+        known = 0 < opcode <= Opcode.DATA_END or opcode in (GUARD, COPY, VOID)
+        return known and bool(length <= MAX_RECORD_BYTES)
+
+    def _next(self, position: int) -> int:
+        """Where the next guard, chunk or end of data begins, from `position` on."""
+        hints = [hint for hint in self.hints if hint >= position]
+        limit = min(hints, default=self.end)
+        for candidate in self._candidates(position, limit):
+            return candidate
+        return limit
+
+    def _candidates(self, position: int, limit: int) -> Iterator[int]:
+        overlap = _HEAD_BYTES
+        while position < limit:
+            window = self.source.read(position, _WINDOW_BYTES + overlap)
+            places = sorted(set(_places(window)))
+            for place in places:
+                if place < _WINDOW_BYTES and position + place < limit:
+                    at = position + place
+                    if self._genuine(at, window[place : place + _HEAD_BYTES]):
+                        yield at
+            position += _WINDOW_BYTES
+
+    def _genuine(self, position: int, head: bytes) -> bool:
+        if head[9:17] == GUARD_MAGIC:
+            keep, self.guard = self.guard, None
+            after = self._guard(position)
+            self.guard = keep
+            return after is not None
+        if head.startswith(_DATA_END):
+            return self._plausible(position + DATA_END_BYTES)
+        chunk = read_chunk_head(head)
+        if chunk is None:
+            return False
+        data = self.source.read(position + chunk.data_offset, chunk.data_size)
+        cut = len(data) < chunk.data_size
+        return cut or decode_chunk(chunk, data, None, cut=False).whole
+
+    def _lost(self, offset: int, length: int, saved: int = -1) -> None:
+        torn = offset + length >= self.source.size and not self.found.finished
+        if saved >= 0:
+            what = f"a {'torn' if torn else 'damaged'} chunk, {saved} messages of it saved"
+        elif self.source.read(offset, 1) == bytes([Opcode.CHUNK]):
+            what = "a damaged chunk, nothing of it saved"
+        else:
+            what = "the file ends within a record" if torn else "bytes that are no record"
+        self.found.damages.append(Damage(offset, length, what))
+
+
+def _places(window: bytes) -> Iterator[int]:
+    """Where in `window` a guard, a chunk or the end of data may begin."""
+    for pattern, back in (
+        (GUARD_MAGIC, RECORD.size),
+        (_DATA_END, 0),
+        *((compression, 37) for compression in _COMPRESSIONS),
+    ):
+        place = window.find(pattern)
+        while place >= 0:
+            if place >= back:
+                yield place - back
+            place = window.find(pattern, place + 1)

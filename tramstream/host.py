@@ -1,0 +1,253 @@
+"""Runs processors live: the bus' messages and the ports' bytes go through `step`, results go out.
+
+Between the processors of one process objects are passed, not bytes; each output is encoded once,
+for the bus. Where a processor listens to ticks, the host makes them, ten a second, each with how
+far every input had been read: that, and the snapshots, is what reprocessing repeats a ride by.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tramstream import keys, snapshots
+from tramstream.bus import Bus, Envelope
+from tramstream.clock import S
+from tramstream.keys import Key
+from tramstream.node import Node
+from tramstream.ports import Port, PortReader, join_reads
+from tramstream.processor import Ledger, Processor, Sample
+from tramstream.proto.health_pb2 import DeviceHealth
+from tramstream.proto.raw_pb2 import RawBytes
+from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
+
+TICK_S = 0.1
+RAW_S = 0.1
+"""Raw bytes are published this often: ten messages a second instead of two hundred."""
+SNAPSHOT_S = 5.0
+DEVICE_HEALTH_S = 1.0
+LEAD_WINDOW_S = 2.0
+"""Event time follows the newest input of at least this long."""
+
+
+class ProcessorNode(Node):
+    """A node made of processors, and of the ports that feed them.
+
+    Parameters
+    ----------
+    processors : sequence of Processor
+    ports : sequence of Port
+        Their raw messages are stepped through the processors and published.
+    snapshot_path : Path or None
+        Where the memory is kept for a restart; None keeps none.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        vehicle: str,
+        bus: Bus,
+        stop: threading.Event,
+        processors: Sequence[Processor],
+        ports: Sequence[Port] = (),
+        snapshot_path: Path | None = None,
+    ) -> None:
+        super().__init__(name, vehicle, bus, stop)
+        self.processors = list(processors)
+        self.readers = [PortReader(port, self._from_port(port), stop) for port in ports]
+        self._consumers: dict[str, list[Processor]] = {}
+        for processor in processors:
+            for key in processor.inputs:
+                self._consumers.setdefault(key.path, []).append(processor)
+        self._by_topic: dict[str, Key] = {}
+        self._positions: dict[str, Position] = {}
+        self._raw: dict[str, list[RawBytes]] = {}
+        self._lead = _Lead()
+        self._ticks = keys.SYNC_TICK.path in self._consumers
+        self._tick_sequence = 0
+        self._session = int.from_bytes(os.urandom(8), "little")
+        self._snapshot_path = snapshot_path
+        self._last_snapshot_ns = 0
+
+    # Setting up ----------------------------------------------------------------------------------
+    def expressions(self) -> list[str]:
+        made_here = {key.path for processor in self.processors for key in processor.outputs}
+        made_here |= {reader.port.key.path for reader in self.readers} | {keys.SYNC_TICK.path}
+        return sorted(path for path in self._consumers if path not in made_here)
+
+    def begin(self) -> None:
+        for path in self.expressions():
+            key = keys.find(path)
+            if key is not None:
+                self._by_topic[key.on(self.vehicle)] = key
+        if self._ticks:
+            self._restore()
+            self._publish_snapshot(start=True)
+            self.every(TICK_S, self.tick)
+        if self.readers:
+            self.every(RAW_S, self.publish_raw)
+            self.every(DEVICE_HEALTH_S, self.device_health)
+            for reader in self.readers:
+                reader.start()
+
+    def finish(self) -> None:
+        for reader in self.readers:
+            reader.join(1.0)
+        while len(self.ring):
+            self._turn(0.0)
+        if self.readers:
+            self.publish_raw()
+            self.device_health()
+        if self._ticks:
+            self.tick()
+            self._publish_snapshot()
+
+    def _restore(self) -> None:
+        """Go on from the snapshot file of a process that died a moment ago."""
+        if self._snapshot_path is None:
+            return
+        state, sentence = snapshots.load(self._snapshot_path, self.clock.now_ns())
+        if sentence:
+            self.log(sentence)
+        if state is not None and snapshots.restore(state, self.processors):
+            self._tick_sequence = state.tick_sequence
+            self.log(f"{self.name} goes on from the memory of its predecessor")
+
+    # One item ------------------------------------------------------------------------------------
+    def _from_port(self, port: Port) -> Any:
+        return lambda message: self.ring.put(port.key.path, (port.key, message))
+
+    def handle(self, envelope: Envelope) -> None:
+        key = self._by_topic[envelope.topic]
+        message: Any = key.type.FromString(envelope.payload)
+        sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
+        if self._ticks:
+            self._note(sample)
+        self.dispatch(sample)
+
+    def handle_item(self, item: Any) -> None:
+        key, message = item
+        self.dispatch(Sample(key, message, message.stamp_ns, 0))
+        if isinstance(message, RawBytes):
+            self._raw.setdefault(key.path, []).append(message)
+        else:
+            self.publish_numbered(key, message)
+
+    def dispatch(self, sample: Sample) -> None:
+        """Step a sample through everybody who wants it, and what follows likewise."""
+        work = deque([sample])
+        while work:
+            current = work.popleft()
+            for processor in self._consumers.get(current.key.path, ()):
+                try:
+                    results = processor.step(current)
+                except Exception as error:  # noqa: BLE001  a bug in one stage: told, counted
+                    self.fault(error)
+                    continue
+                for result in results:
+                    self.send(result)
+                    work.append(result)
+
+    def _note(self, sample: Sample) -> None:
+        """Remember how far this key has been read."""
+        position = self._positions.get(sample.key.path)
+        if position is None:
+            position = Position(key=sample.key.path, first_publish_ns=sample.publish_ns)
+            self._positions[sample.key.path] = position
+        position.last_publish_ns = sample.publish_ns
+        position.count += 1
+        self._lead.see(sample.stamp_ns, self.clock.now_ns())
+
+    # Timers --------------------------------------------------------------------------------------
+    def tick(self) -> None:
+        now_ns = self._lead.event_ns(self.clock.now_ns())
+        self._tick_sequence += 1
+        message = Tick(
+            stamp_ns=now_ns,
+            sequence=self._tick_sequence,
+            session=self._session,
+            positions=self._positions.values(),
+        )
+        sample = Sample(keys.SYNC_TICK, message, now_ns, self._tick_sequence)
+        self.send(sample)
+        self.dispatch(sample)
+        if self.clock.now_ns() - self._last_snapshot_ns > SNAPSHOT_S * S:
+            self._publish_snapshot()
+
+    def _publish_snapshot(self, start: bool = False) -> None:
+        self._last_snapshot_ns = self.clock.now_ns()
+        message = Snapshot(
+            session=self._session,
+            start=start,
+            tick_sequence=self._tick_sequence,
+            positions=self._positions.values(),
+            states=snapshots.take(self.processors),
+        )
+        self.publish(keys.SYNC_SNAPSHOT, message)
+        if self._snapshot_path is not None:
+            snapshots.save(self._snapshot_path, message)
+
+    def publish_raw(self) -> None:
+        for path, reads in self._raw.items():
+            if reads:
+                key = keys.find(path)
+                assert key is not None
+                self.publish_numbered(key, join_reads(reads))
+                reads.clear()
+
+    def publish_numbered(self, key: Key, message: Any) -> None:
+        """Publish a raw message that has its stamp already."""
+        message.sequence = self._sequences[key.path] = self._sequences.get(key.path, 0) + 1
+        self.put(key, message, message.sequence)
+
+    def device_health(self) -> None:
+        for reader in self.readers:
+            state, text = reader.health()
+            message = DeviceHealth(
+                device=self.name,
+                port=reader.port.device,
+                state=state,
+                text=text,
+                opened=reader.opened,
+                bytes_received=reader.bytes_received,
+                silence_s=reader.silence_s,
+            )
+            for processor in self._consumers.get(reader.port.key.path, ()):
+                counters = getattr(processor, "device_counters", dict)()
+                for name, value in counters.items():
+                    if name == "rejected_by_reason":
+                        message.rejected_by_reason.update(value)
+                    elif value is not None:
+                        setattr(message, name, value)
+            self.trouble = text
+            self.publish(keys.DEVICE.at(self.name), message)
+
+    def ledgers(self) -> list[Ledger]:
+        return [ledger for processor in self.processors for ledger in processor.ledgers()]
+
+
+class _Lead:
+    """How far event time is ahead of the clock: the most of the last inputs.
+
+    Live it is a few milliseconds negative; for a replayed record it is the age of the record.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns = 0
+        self._now: int | None = None
+        self._before: int | None = None
+
+    def see(self, stamp_ns: int, now_ns: int) -> None:
+        if now_ns - self._since_ns > LEAD_WINDOW_S * S:
+            self._since_ns, self._before, self._now = now_ns, self._now, None
+        lead_ns = stamp_ns - now_ns
+        if self._now is None or lead_ns > self._now:
+            self._now = lead_ns
+
+    def event_ns(self, now_ns: int) -> int:
+        known = [lead for lead in (self._now, self._before) if lead is not None]
+        return now_ns + (max(known) if known else 0)

@@ -1,0 +1,233 @@
+"""The one loop. Everything that runs on the vehicle is a node; a node adds work, never a loop.
+
+The bus' and the ports' threads only append to the node's ring. One worker takes items off it,
+handles them, and between items runs the timers that are due: heartbeat, ticks, flushes. What goes
+wrong in a stage is published under `health/<node>/` and counted; the loop goes on.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import threading
+import time
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
+
+from tramstream import keys
+from tramstream.bus import Bus, Envelope
+from tramstream.clock import S
+from tramstream.keys import Key
+from tramstream.losses import LossCounter
+from tramstream.processor import Ledger, Sample, stamp
+from tramstream.proto.health_pb2 import NodeHealth, StageLedger
+from tramstream.ring import Ring
+
+RING_CAPACITY = 8192
+"""Ten seconds of all keys at full live load."""
+IDLE_S = 0.2
+"""Longest wait of the loop: how fast it notices that it shall stop."""
+HEARTBEAT_S = 1.0
+
+
+class _Timer:
+    def __init__(self, period_s: float, run: Callable[[], None], now_ns: int) -> None:
+        self.period_ns = int(period_s * S)
+        self.run = run
+        self.due_ns = now_ns + self.period_ns
+
+
+class Node(ABC):
+    """A process on the bus: subscriptions, one loop, heartbeat, losses.
+
+    Parameters
+    ----------
+    name : str
+        Source of its health keys.
+    vehicle : str
+        Identifier in the keys.
+    bus : Bus
+    stop : threading.Event
+        Set from outside (a signal) to end `run`.
+    """
+
+    def __init__(self, name: str, vehicle: str, bus: Bus, stop: threading.Event) -> None:
+        self.name = name
+        self.vehicle = vehicle
+        self.bus = bus
+        self.clock = bus.clock
+        self.stop = stop
+        self.ring: Ring[Any] = Ring(RING_CAPACITY)
+        self.losses = LossCounter(name)
+        self.handled = 0
+        self.faults = 0
+        self.trouble = ""
+        """One sentence when something is wrong; part of the heartbeat."""
+        self._fault_text = ""
+        self._sequences: dict[str, int] = {}
+        self._topics: dict[str, tuple[str, str]] = {}
+        self._timers: list[_Timer] = []
+        self._started_s = time.monotonic()
+
+    # What a node is made of ----------------------------------------------------------------------
+    @abstractmethod
+    def expressions(self) -> list[str]:
+        """Key expressions to subscribe to, below `tram/<vehicle>/`."""
+
+    @abstractmethod
+    def handle(self, envelope: Envelope) -> None:
+        """Work on one message from the bus."""
+
+    def handle_item(self, item: Any) -> None:
+        """Work on something that this node's own threads put into the ring."""
+        raise TypeError(f"{self.name} has no use for {type(item).__name__}")
+
+    def begin(self) -> None:
+        """Right before the first item: after all subscriptions are open."""
+
+    def finish(self) -> None:
+        """Right after the last item, while the bus is still open."""
+
+    def ledgers(self) -> list[Ledger]:
+        """Ledgers of the stages inside."""
+        return []
+
+    def every(self, period_s: float, run: Callable[[], None]) -> None:
+        """Call `run` on the worker every `period_s` of the vehicle clock."""
+        self._timers.append(_Timer(period_s, run, self.clock.now_ns()))
+
+    # The loop ------------------------------------------------------------------------------------
+    def run(self) -> None:
+        """Work until `stop` is set, then on what is still queued, then finish."""
+        subscriptions = [
+            self.bus.subscribe(f"{keys.ROOT}/{self.vehicle}/{expression}", self._deliver)
+            for expression in self.expressions()
+        ]
+        self.bus.announce(keys.alive(self.vehicle, self.name))
+        self.every(HEARTBEAT_S, self.heartbeat)
+        try:
+            self.begin()
+            self.heartbeat()
+            while not self.stop.is_set():
+                self._turn(self._patience_s())
+            for subscription in subscriptions:
+                subscription.close()
+            while len(self.ring):
+                self._turn(0.0)
+        finally:
+            self.finish()
+            self.heartbeat()
+
+    def _deliver(self, envelope: Envelope) -> None:
+        self.ring.put(envelope.topic, envelope)
+
+    def _patience_s(self) -> float:
+        due_ns = min(timer.due_ns for timer in self._timers)
+        wait_s = (due_ns - self.clock.now_ns()) / S / self.clock.rate
+        return min(max(wait_s, 0.0), IDLE_S)
+
+    def _turn(self, timeout_s: float) -> None:
+        item = self.ring.get(timeout_s)
+        if item is not None:
+            self.handled += 1
+            try:
+                if isinstance(item, Envelope):
+                    for loss in self.losses.see(item, self.ring.dropped):
+                        self.publish(keys.LOSS.at(self.name), loss)
+                    self.handle(item)
+                else:
+                    self.handle_item(item)
+            except Exception as error:  # noqa: BLE001  the boundary: told in health, never hidden
+                self.fault(error)
+        self._run_timers()
+
+    def _run_timers(self) -> None:
+        now_ns = self.clock.now_ns()
+        for timer in self._timers:
+            if now_ns < timer.due_ns:
+                continue
+            missed = (now_ns - timer.due_ns) // timer.period_ns
+            timer.due_ns += (missed + 1) * timer.period_ns
+            try:
+                timer.run()
+            except Exception as error:  # noqa: BLE001  see above
+                self.fault(error)
+
+    # What it says --------------------------------------------------------------------------------
+    def publish(self, key: Key, message: Any) -> int:
+        """Number, stamp (now) and publish a message of the node's own."""
+        sequence = self._sequences.get(key.path, 0) + 1
+        self._sequences[key.path] = sequence
+        stamp(message, self.clock.now_ns(), sequence)
+        return self.put(key, message, sequence)
+
+    def send(self, sample: Sample) -> int:
+        """Publish a sample that a processor emitted; return the time of publication."""
+        return self.put(sample.key, sample.message, sample.sequence)
+
+    def put(self, key: Key, message: Message, sequence: int) -> int:
+        known = self._topics.get(key.path)
+        if known is None:
+            known = self._topics[key.path] = (key.on(self.vehicle), key.encoding)
+        return self.bus.publish(known[0], message.SerializeToString(), known[1], sequence)
+
+    def log(self, text: str, level: Log.Level = Log.WARNING) -> None:
+        """Say one sentence on `health/<node>/log`."""
+        self.publish(keys.LOG.at(self.name), Log(level=level, message=text, name=self.name))
+
+    def fault(self, error: Exception) -> None:
+        """An exception out of a stage: a bug. Publish it, count it, go on."""
+        self.faults += 1
+        self._fault_text = f"{type(error).__name__}: {error}"
+        trace = "".join(traceback.format_exception(error))
+        self.log(trace, Log.ERROR)
+
+    def heartbeat(self) -> None:
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        text = self.trouble or (
+            f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
+            if self.faults
+            else ""
+        )
+        self.publish(
+            keys.HEARTBEAT.at(self.name),
+            NodeHealth(
+                node=self.name,
+                state=NodeHealth.DEGRADED if text else NodeHealth.OK,
+                text=text,
+                pid=os.getpid(),
+                uptime_s=time.monotonic() - self._started_s,
+                cpu_s=usage.ru_utime + usage.ru_stime,
+                rss_bytes=_rss_bytes(),
+                messages_lost=self.losses.total,
+                faults=self.faults,
+                stages=[_stage(ledger) for ledger in [self._queue_ledger(), *self.ledgers()]],
+            ),
+        )
+
+    def _queue_ledger(self) -> Ledger:
+        ring = self.ring
+        return Ledger(
+            "queue", "items", ring.received, self.handled, ring.dropped_total, len(ring)
+        )
+
+
+def _stage(ledger: Ledger) -> StageLedger:
+    return StageLedger(
+        stage=ledger.stage,
+        unit=ledger.unit,
+        received=ledger.received,
+        delivered=ledger.delivered,
+        dropped=ledger.dropped,
+        pending=ledger.pending,
+    )
+
+
+def _rss_bytes() -> int:
+    with open("/proc/self/statm", "rb") as statm:
+        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

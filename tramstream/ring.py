@@ -1,0 +1,46 @@
+"""A bounded queue between the bus' or a port's thread and a node's worker: the oldest goes first."""
+
+from __future__ import annotations
+
+import queue
+from collections import Counter
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Ring(Generic[T]):
+    """Bounded queue that drops its oldest item when full, and counts what it dropped by name.
+
+    `put` is what bus callbacks call: it takes microseconds and never blocks.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.received = 0
+        self.dropped_total = 0
+        self.dropped: Counter[str] = Counter()
+        """Drops by name that nobody has accounted for yet; whoever does takes them out."""
+        self._queue: queue.SimpleQueue[tuple[str, T]] = queue.SimpleQueue()
+
+    def __len__(self) -> int:
+        return self._queue.qsize()
+
+    def put(self, name: str, item: T) -> None:
+        """Append `item`; `name` is what a drop is counted under."""
+        self.received += 1
+        if self._queue.qsize() >= self.capacity:
+            try:
+                oldest, _ = self._queue.get_nowait()
+                self.dropped[oldest] += 1
+                self.dropped_total += 1
+            except queue.Empty:
+                pass  # the worker was faster
+        self._queue.put((name, item))
+
+    def get(self, timeout_s: float) -> T | None:
+        """Next item, or None after `timeout_s`."""
+        try:
+            return self._queue.get(timeout=max(0.0, timeout_s))[1]
+        except queue.Empty:
+            return None

@@ -1,0 +1,87 @@
+"""Processors' memory as bytes: on the bus for the record, in a file for a restart.
+
+MessagePack with one extension for numpy arrays: nothing in a snapshot can run code.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from tramstream.clock import S
+from tramstream.processor import Processor
+from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
+
+ARRAY = 1
+"""MessagePack extension type: a numpy array in .npy form."""
+MAX_AGE_S = 60.0
+"""Older memory is worth less than a fresh start."""
+
+
+def _encode(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        buffer = io.BytesIO()
+        np.save(buffer, value, allow_pickle=False)
+        return msgspec.msgpack.Ext(ARRAY, buffer.getvalue())
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a snapshot cannot hold a {type(value).__name__}")
+
+
+def _decode(code: int, data: memoryview) -> Any:
+    if code != ARRAY:
+        raise ValueError(f"a snapshot holds the unknown extension {code}")
+    return np.load(io.BytesIO(bytes(data)), allow_pickle=False)
+
+
+def pack(state: dict[str, Any]) -> bytes:
+    """Plain data to bytes; see `tramstream.processor.State` for what it may hold."""
+    return msgspec.msgpack.encode(state, enc_hook=_encode)
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    state: dict[str, Any] = msgspec.msgpack.decode(data, ext_hook=_decode, strict=False)
+    return state
+
+
+def take(processors: Sequence[Processor]) -> list[ProcessorState]:
+    """Memory of all processors."""
+    return [ProcessorState(name=p.name, state=pack(p.snapshot())) for p in processors]
+
+
+def restore(snapshot: Snapshot, processors: Sequence[Processor]) -> bool:
+    """Put the memory back; False, and nothing touched, if it is of other processors."""
+    states = {entry.name: entry.state for entry in snapshot.states}
+    if set(states) != {processor.name for processor in processors}:
+        return False
+    for processor in processors:
+        processor.restore(unpack(states[processor.name]))
+    return True
+
+
+def save(path: Path, snapshot: Snapshot) -> None:
+    """Write the snapshot file so that a reader sees the old or the new one, never half of one."""
+    temporary = path.with_suffix(".new")
+    temporary.write_bytes(snapshot.SerializeToString())
+    os.replace(temporary, path)
+
+
+def load(path: Path, now_ns: int) -> tuple[Snapshot | None, str]:
+    """The snapshot in `path` if it is young enough, and a sentence if there is something to say."""
+    try:
+        snapshot = Snapshot.FromString(path.read_bytes())
+    except FileNotFoundError:
+        return None, ""
+    except (OSError, DecodeError) as error:
+        return None, f"{path}: the snapshot cannot be read ({error}); starting afresh"
+    age_s = (now_ns - snapshot.stamp_ns) / S
+    if not 0 <= age_s <= MAX_AGE_S:
+        return None, ""
+    return snapshot, ""
