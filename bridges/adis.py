@@ -28,7 +28,7 @@ PAYLOAD_LENGTH = 28
 """Stamp, sequence and burst: the bytes between length and CRC."""
 HEADER = SYNC + bytes((TYPE_BURST, PAYLOAD_LENGTH))
 
-# ADIS16465 data sheet rev. C, "Burst read function", 16-bit burst with BURST32 = 0.
+# ADIS16465 data sheet, "Burst Read Function" (theory.md section 2).
 FRAME = np.dtype(
     [
         ("header", "<u4"),
@@ -115,7 +115,7 @@ class AdisFramer:
             self.rejected_by_reason[reject.reason] = count + 1
         if len(runs) == 1:
             return Bursts(runs[0], rejected)
-        return Bursts(np.concatenate(runs) if runs else np.empty(0, FRAME), rejected)
+        return Bursts(join(runs), rejected)
 
     def _check_bursts(
         self, buffer: bytes, start: int, end: int, offset: int, rejected: list[Rejected]
@@ -134,7 +134,8 @@ class AdisFramer:
             rejected.append(Rejected(reason, position, FRAME_LENGTH))
         self.bytes_framed += int(good.sum()) * FRAME_LENGTH
         self.bytes_rejected += int((~good).sum()) * FRAME_LENGTH
-        return frames[good]
+        kept: NDArray[np.void] = frames[good]
+        return kept
 
     def snapshot(self) -> dict[str, Any]:
         return {
@@ -149,6 +150,11 @@ class AdisFramer:
         self.bytes_framed = state["bytes_framed"]
         self.bytes_rejected = state["bytes_rejected"]
         self.rejected_by_reason = dict(state["rejected_by_reason"])
+
+
+def join(runs: list[NDArray[np.void]]) -> NDArray[np.void]:
+    """One array of several, bytes untouched; numpy alone would turn them to native byte order."""
+    return np.concatenate(runs, dtype=FRAME) if runs else np.empty(0, FRAME)
 
 
 def _end_of_run(buffer: bytes, start: int) -> int:

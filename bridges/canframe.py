@@ -6,6 +6,7 @@ details in the data, as Linux reports them (include/uapi/linux/can/error.h).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -126,6 +127,7 @@ class SlcanLines:
         return frames
 
 
+_HEX = re.compile(rb"[0-9A-Fa-f]+")
 _ANSWERS = (b"", b"z", b"Z", b"V", b"v", b"N", b"F")
 _SLCAN_FLAGS = {b"t": 0, b"T": EXTENDED, b"r": REMOTE, b"R": REMOTE | EXTENDED}
 
@@ -133,17 +135,14 @@ _SLCAN_FLAGS = {b"t": 0, b"T": EXTENDED, b"r": REMOTE, b"R": REMOTE | EXTENDED}
 def _slcan_frame(line: bytes) -> Content:
     flags = _SLCAN_FLAGS.get(line[:1], ERROR)
     digits = 8 if flags & EXTENDED else 3
-    try:
-        if flags & ERROR:
-            raise ValueError("no frame begins so")
-        id_, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])
-        payload = line[2 + digits :].decode("ascii")
+    if not flags & ERROR and _HEX.fullmatch(line, 1) and len(line) >= 2 + digits:
+        id_, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits], 16)
+        payload = line[2 + digits :]
         wanted = 0 if flags & REMOTE else 2 * length
-        if length > CLASSIC_LENGTH or len(payload) not in (wanted, wanted + 4):  # 4: time stamp
-            raise ValueError("length and data disagree")
-        return Content(id_ & ID_MASK, flags, bytes.fromhex(payload)[: wanted // 2])
-    except ValueError:
-        return Content(GARBLED, ERROR, line[:8])
+        stamped = wanted + 4  # an adapter's own time stamp
+        if length <= CLASSIC_LENGTH and len(payload) in (wanted, stamped):
+            return Content(id_ & ID_MASK, flags, bytes.fromhex(payload[:wanted].decode("ascii")))
+    return Content(GARBLED, ERROR, line[:8])
 
 
 def pack(frames: Iterable[CanFrame], device: str) -> CanFrames:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import struct
-from typing import Any
+from typing import Any, Literal
 
 import cantools
 from cantools.database.errors import Error as CantoolsError
@@ -33,16 +33,16 @@ class Field:
         self.scale: float = signal.scale
         self.offset: float = signal.offset
         self._plain = self.scale == 1 and self.offset == 0
-        self._order = "big" if signal.byte_order == "big_endian" else "little"
+        self._order: Literal["big", "little"] = "big" if signal.byte_order == "big_endian" else "little"
         self._mask = (1 << self.length) - 1
         self._sign = 1 << (self.length - 1) if signal.is_signed and not signal.is_float else 0
         self._float = FLOATS[self.length] if signal.is_float else ""
         self._start: int = signal.start
         if self._order == "big":  # start is the most significant bit; count from the frame's first
-            self._start = 8 * (signal.start // 8) + 7 - signal.start % 8
+            self._start = 8 * (self._start // 8) + 7 - self._start % 8
         self._end = self._start + self.length
         self._selectors = selectors
-        self.bytes_needed = max([(self._end + 7) // 8, *(f.bytes_needed for f, _ in selectors)])
+        self.bytes_needed: int = max([(self._end + 7) // 8, *(f.bytes_needed for f, _ in selectors)])
 
     def raw(self, data: bytes) -> float | None:
         """Value before scaling; None where a multiplexer says that the signal is not in the frame.
@@ -53,7 +53,7 @@ class Field:
             if selector.raw(data) not in values:
                 return None
         if self._order == "big":
-            bits = int.from_bytes(data, "big") >> (8 * len(data) - self._end) & self._mask
+            bits: int = int.from_bytes(data, "big") >> (8 * len(data) - self._end) & self._mask
         else:
             bits = int.from_bytes(data, "little") >> self._start & self._mask
         if self._float:

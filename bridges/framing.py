@@ -50,19 +50,19 @@ _SLICE = 1 << 20
 """A long `feed` is worked through in slices of this many bytes, to bound the memory."""
 
 _WAIT = 0
-_REASONS = (
-    "",
-    "UBX length",
-    "UBX count",
-    "UBX checksum",
-    "UBX truncated",
-    "NMEA malformed",
-    "NMEA checksum",
-    "NMEA truncated",
-    "RTCM3 CRC",
-    "RTCM3 truncated",
-)
-_LENGTH, _COUNT, _CHECKSUM, _UBX_CUT, _MALFORMED, _SUM, _NMEA_CUT, _CRC, _RTCM3_CUT = range(-1, -10, -1)
+# Why a frame cannot be, as negative verdicts.
+_LENGTH, _COUNT, _FLETCHER, _UBX_CUT, _MALFORMED, _XOR, _NMEA_CUT, _CRC, _RTCM3_CUT = range(-9, 0)
+_REASONS = {
+    _LENGTH: "UBX length",
+    _COUNT: "UBX count",
+    _FLETCHER: "UBX checksum",
+    _UBX_CUT: "UBX truncated",
+    _MALFORMED: "NMEA malformed",
+    _XOR: "NMEA checksum",
+    _NMEA_CUT: "NMEA truncated",
+    _CRC: "RTCM3 CRC",
+    _RTCM3_CUT: "RTCM3 truncated",
+}
 
 
 class Frame(NamedTuple):
@@ -199,8 +199,8 @@ class Framer:
                 if not final:
                     break
                 end = _CUT_SHORT[protocol]
-            self._run = (_REASONS[-end], base + start)
-            self.false_starts[_REASONS[-end]] += 1
+            self._run = (_REASONS[end], base + start)
+            self.false_starts[_REASONS[end]] += 1
             self.bytes_rejected += 1
             at = start + 1
         self.frames += frames
@@ -267,7 +267,7 @@ class _Window:
         a = (sums[last] - a0) & 0xFF
         b = (sums_of_sums[last] - sums_of_sums[before] - (last - before) * a0) & 0xFF
         if a != data[end] or b != data[end + 1]:
-            return UBX, kind, _CHECKSUM
+            return UBX, kind, _FLETCHER
         return UBX, kind, end + 2
 
     def _check_nmea(self, start: int) -> _Verdict:
@@ -280,7 +280,7 @@ class _Window:
             self._xor = np.bitwise_xor.accumulate(np.frombuffer(data, np.uint8)).tobytes()
         end = found.end()
         if self._xor[start] ^ self._xor[end - 6] != int(data[end - 4 : end - 2], 16):
-            return NMEA, 0, _SUM
+            return NMEA, 0, _XOR
         return NMEA, 0, end
 
     def _check_rtcm3(self, start: int) -> _Verdict:

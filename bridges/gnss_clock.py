@@ -172,7 +172,7 @@ class ArrivalClock:
         self.fit.add(device_ns, arrival_ns - self._delay_ns - round(size * self._byte_ns))
 
     def stamp(self, device_ns: int | None, arrival_ns: int) -> int:
-        """Vehicle clock at `device_ns`; the arrival less the receiver's delay if that is unknown."""
+        """Vehicle clock at `device_ns`; if that is unknown, arrival less the receiver's delay."""
         if device_ns is not None and self.fit.ready:
             host_ns = self.fit.host_ns(device_ns)
             if arrival_ns - self.LONGEST_DELAY_NS <= host_ns <= arrival_ns:

@@ -33,13 +33,13 @@ from tramstream.proto.gnss_pb2 import (
 )
 
 MILLI = 1000.0
-POSITION_FRAME = "gnss"
+ANTENNA = "gnss"
 """Frame of the location: its origin is the antenna."""
 
 _USABLE = (GnssFix.FIX_2D, GnssFix.FIX_3D, GnssFix.GNSS_AND_DEAD_RECKONING)
 _CARRIERS = (GnssFix.NONE, GnssFix.FLOAT, GnssFix.FIXED, GnssFix.NONE)
 
-# Standard deviations of RXM-RAWX are powers of two of these, by the low four bits of the byte.
+# Standard deviations of RXM-RAWX, by the low four bits of the byte that codes them.
 _PSEUDORANGE_STD_M = tuple(0.01 * 2**n for n in range(16))
 _PHASE_STD_CYCLES = tuple(0.004 * n for n in range(16))
 _DOPPLER_STD_HZ = tuple(0.002 * 2**n for n in range(16))
@@ -124,7 +124,7 @@ def location(of: GnssFix, covariance: GnssCovariance | None = None) -> LocationF
     mean that none are known.
     """
     out = LocationFix(
-        frame_id=POSITION_FRAME,
+        frame_id=ANTENNA,
         latitude=of.latitude_deg,
         longitude=of.longitude_deg,
         altitude=of.height_ellipsoid_m,
@@ -157,8 +157,7 @@ def attitude(message: UbxMessage, _: int | None) -> GnssAttitude:
 
 def attitude_of_pvat(message: UbxMessage, _: int | None) -> GnssAttitude:
     """The vehicle's attitude in NAV-PVAT, as far as its flags say that it is valid."""
-    f = message.fields
-    flags = f["flags"]
+    f, flags = message.fields, message.fields["flags"]
     out = GnssAttitude(
         source=message.name, itow_ms=f["iTOW"], roll_std_deg=f["accRoll"],
         pitch_std_deg=f["accPitch"], heading_std_deg=f["accHeading"],
@@ -173,8 +172,7 @@ def attitude_of_pvat(message: UbxMessage, _: int | None) -> GnssAttitude:
 
 
 def covariance(message: UbxMessage, _: int | None) -> GnssCovariance:
-    f = message.fields
-    axes = ("NN", "NE", "ND", "EE", "ED", "DD")
+    f, axes = message.fields, ("NN", "NE", "ND", "EE", "ED", "DD")
     return GnssCovariance(
         itow_ms=f["iTOW"],
         position_valid=f["posCovValid"] == 1,
@@ -255,9 +253,19 @@ def signals(message: UbxMessage, _: int | None) -> GnssSatellites:
     """NAV-SIG; `used` where the pseudorange is."""
     out = GnssSatellites(source=message.name, itow_ms=message.fields["iTOW"])
     add = out.satellites.add
-    for gnss_id, sv_id, signal, frequency, residual, cno, quality, _c, _i, flags, _r in (
-        message.records
-    ):
+    for (
+        gnss_id,
+        sv_id,
+        signal,
+        frequency,
+        residual,
+        cno,
+        quality,
+        _c,
+        _i,
+        flags,
+        _r,
+    ) in message.records:
         add(
             gnss_id=gnss_id, sv_id=sv_id, signal_id=signal, frequency_id=frequency,
             cno_dbhz=cno, residual_m=residual, quality=quality, used=bool(flags & 8),
@@ -274,9 +282,22 @@ def measurements(message: UbxMessage, _: int | None) -> GnssMeasurements:
         leap_seconds=f["leapS"] if status & 1 else None,
     )  # fmt: skip
     add = out.measurements.add
-    for pr, cp, do, gnss, sv, signal, freq, lock, cno, pr_std, cp_std, do_std, track, _r in (
-        message.records
-    ):
+    for (
+        pr,
+        cp,
+        do,
+        gnss,
+        sv,
+        signal,
+        freq,
+        lock,
+        cno,
+        pr_std,
+        cp_std,
+        do_std,
+        track,
+        _r,
+    ) in message.records:
         add(
             pseudorange_m=pr, carrier_phase_cycles=cp, doppler_hz=do, gnss_id=gnss, sv_id=sv,
             signal_id=signal, frequency_id=freq, lock_time_ms=lock, cno_dbhz=cno,
@@ -305,7 +326,7 @@ def esf_measurements(message: UbxMessage, _: int | None) -> EsfMeasurements:
         tag = message.fields["timeTag"]
         words = [(record[0], tag) for record in records]
     else:
-        words = [(record[0], record[1]) for record in records]
+        words = [(word, tag) for word, tag in records]
     for word, tag in words:
         type_ = word >> 24 & 0x3F
         raw = (word & 0xFFFFFF ^ 0x800000) - 0x800000

@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tramstream.bridges.adis import FRAME, FRAME_LENGTH, AdisFramer
 
 from tramstream import keys
+from tramstream.bridges.adis import FRAME, FRAME_LENGTH, AdisFramer, join
 from tramstream.clock import ClockFit, S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
@@ -38,7 +38,7 @@ RADPS_PER_DEGPS = np.pi / 180.0
 ACCEL_SCALE_MPS2 = 0.25e-3 * STANDARD_GRAVITY_MPS2
 TEMPERATURE_SCALE_DEGC = 0.1
 
-# ADIS16465 data sheet rev. C, tables 12 and 1: °/s per count of the 16-bit output.
+# ADIS16465 data sheet, gyroscope data format: °/s per count of the 16-bit output.
 GYRO_SCALE_RADPS = {
     "ADIS16465-1": 0.00625 * RADPS_PER_DEGPS,
     "ADIS16465-2": 0.025 * RADPS_PER_DEGPS,
@@ -54,7 +54,8 @@ BREAK_PERIODS = 1.5
 STAMP_SLACK_US = 100_000
 RATE_TOLERANCE = 0.1
 """Stamp and sequence of one run agree within slack and tolerance: the sensor keeps its rate to a
-few percent, and the slack lets the microcontroller pause."""
+few percent, and the slack lets the microcontroller pause. After some six hours of silence that no
+longer tells the stamp's wraps apart, and the device begins a new run."""
 
 NOTE_RESTART = "device restart"
 NOTE_PAUSE = "pause without lost samples"
@@ -145,7 +146,7 @@ class ImuBridge(Processor):
         expected_us = step * self._period_us
         interval_us += round((expected_us - interval_us) / 2**32) * 2**32  # a silence of hours
         allowed_us = STAMP_SLACK_US + RATE_TOLERANCE * expected_us
-        plausible = interval_us > 0 and abs(interval_us - expected_us) < allowed_us
+        plausible = interval_us > 0 and abs(interval_us - expected_us) < allowed_us < HALF_U32
         if step == 0 or step >= HALF_U32 or not plausible:
             self._note(NOTE_RESTART, 1)
             return False, True
@@ -199,7 +200,7 @@ class ImuBridge(Processor):
         """Turn the open batch, if there is one, into a sample."""
         if not self._open:
             return
-        frames = self._open[0] if len(self._open) == 1 else np.concatenate(self._open)
+        frames = self._open[0] if len(self._open) == 1 else join(self._open)
         self._open = []
         stamp_ns = self._fit.host_ns(self._open_first_us * 1000)
         period_ns = 1000 * self._period_us

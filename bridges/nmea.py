@@ -138,7 +138,9 @@ class Epoch:
             self.quality = int(quality) if quality in (*_SATELLITE_FIX, _ESTIMATED) else 0
         else:  # GNS: one letter a system, the best counts
             known = [_GNS_QUALITY.get(letter, 0) for letter in str(values.get("posMode", ""))]
-            self.quality = max((q for q in known if q != _ESTIMATED), default=0) or max(known or [0])
+            self.quality = max((q for q in known if q != _ESTIMATED), default=0) or max(
+                known or [0]
+            )
         self.latitude_deg = _number(values, "lat")
         self.longitude_deg = _number(values, "lon")
         self.altitude_m = _number(values, "alt")

@@ -203,8 +203,8 @@ class CanPort:
                 frames = self._read_any()
         except self._failures as error:
             raise DeviceError(
-                f"{self.device}: the CAN interface is lost ({error}); check cable and adapter, or "
-                f"bring it up: ip link set {self.device} up"
+                f"{self.device}: the CAN interface is lost ({error}); check its cable and power, "
+                "and whether it is up (ip link)"
             ) from error
         if not frames:
             self._check_silence()

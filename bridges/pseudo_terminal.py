@@ -6,7 +6,10 @@ room for is dropped, as a UART without flow control does, and counted.
 
 from __future__ import annotations
 
+import fcntl
 import os
+import sys
+import termios
 import tty
 from pathlib import Path
 
@@ -35,6 +38,13 @@ class PseudoTerminal:
 
     def fileno(self) -> int:
         return self._device_fd
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that no reader has fetched yet; the kernel shows at most 4095 of them."""
+        if not self.is_open:
+            return 0
+        return int.from_bytes(fcntl.ioctl(self._far_fd, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def open(self) -> None:
         """Plug the device in.

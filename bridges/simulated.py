@@ -21,8 +21,8 @@ import cantools
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from tramstream.bridges import adis, imu, slcan
 
+from tramstream.bridges import adis, imu, slcan
 from tramstream.clock import S
 from tramstream.geodesy import normal_gravity_mps2
 from tramstream.ride import Ride

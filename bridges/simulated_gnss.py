@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+
 from tramstream.bridges import ubx
 from tramstream.bridges.simulated import (
     BITS_PER_BYTE,
@@ -25,7 +26,6 @@ from tramstream.bridges.simulated import (
     Chunk,
     Faults,
 )
-
 from tramstream.clock import S
 from tramstream.ride import Ride
 from tramstream.sensors import Fixes, Gnss, GnssErrors

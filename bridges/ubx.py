@@ -14,6 +14,9 @@ from tramstream.bridges import ubx_layouts
 from tramstream.bridges.framing import Frame, Rejected, ubx_frame
 from tramstream.bridges.ubx_layouts import Layout
 
+REQUEST_LENGTH = 8
+"""Length of a whole frame without payload: a request for the message, not the message."""
+
 
 class UbxMessage(NamedTuple):
     """One decoded message, values in the units of its table.

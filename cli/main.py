@@ -11,7 +11,6 @@ import sys
 from importlib.metadata import entry_points
 from typing import Any
 
-import click
 import typer
 
 from tramstream import __version__
@@ -46,8 +45,8 @@ def _callback(
     """
 
 
-def make_app() -> typer.Typer:
-    """The program with every verb that is installed."""
+def make_app(only: str = "") -> typer.Typer:
+    """The program with every verb that is installed, or with verb `only` if there is one."""
     app = typer.Typer(
         no_args_is_help=True,
         add_completion=False,
@@ -59,6 +58,8 @@ def make_app() -> typer.Typer:
     verbs: dict[str, Any] = {
         point.name: point for point in entry_points(group="tramstream.verbs")
     }
+    if only in verbs:  # a node that starts again need not load the other twenty
+        verbs = {only: verbs[only]}
     panel_of = {verb: panel for panel, names in PANELS.items() for verb in names}
     order = [*panel_of, *sorted(set(verbs) - set(panel_of))]
     for name in order:
@@ -70,19 +71,15 @@ def make_app() -> typer.Typer:
 def main() -> None:
     """Entry point of the console script."""
     try:
-        status = make_app()(standalone_mode=False)
+        make_app(sys.argv[1] if len(sys.argv) > 1 else "")()
     except TramstreamError as error:
         print(f"tramstream: {error}", file=sys.stderr)
-        status = error.exit_status
-    except click.ClickException as error:
-        error.show()
-        status = error.exit_code
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        status = INTERRUPTED
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone: `tramstream echo … | head`
-        status = 0
-    sys.exit(status if isinstance(status, int) else 0)
+        sys.exit(0)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ def node(
     ] = False,
 ) -> None:
     """Run one node."""
-    import sys
+    import os
     import threading
 
     from tramstream import registry
@@ -31,7 +31,8 @@ def node(
     if supervised:
 
         def watch_parent() -> None:
-            sys.stdin.buffer.read()
+            while os.read(0, 1024):  # not sys.stdin: its lock would outlive the main thread
+                pass
             stop.set()
 
         threading.Thread(target=watch_parent, name="parent", daemon=True).start()

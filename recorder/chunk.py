@@ -32,6 +32,7 @@ from tramstream.recorder.layout import (
     CHUNK_ZSTD,
     GUARD,
     GUARD_MAGIC,
+    MESSAGE,
     RECORD,
     message_index,
 )
@@ -41,7 +42,7 @@ _GUARD_HEAD = struct.Struct(f"<8s8s{CHUNK_ZSTD.size}sI")
 
 
 class Guard(NamedTuple):
-    """What stands before a chunk of ours: its head once more, and (length, CRC-32) of each block."""
+    """What stands before a chunk of ours: its head again, and (length, CRC-32) of each block."""
 
     file_id: bytes
     head: bytes
@@ -222,8 +223,28 @@ def _streamed(head: ChunkHead, data: bytes) -> bytes:
 
 def _lz4(data: bytes) -> bytes:
     try:
-        import lz4.frame  # foreign files only
+        import lz4.frame  # type: ignore[import-untyped]  # foreign files only
     except ImportError as error:
         raise RecordError("a chunk is compressed with lz4; `pip install lz4` reads it") from error
     raw: bytes = lz4.frame.decompress(data)
     return raw
+
+
+def assemble(
+    definitions: bytes, torn: list[bytes], known: set[int]
+) -> tuple[bytearray, list[int], dict[int, list[int]]]:
+    """Records, block ends and index for `encode_chunk`, from records of other chunks."""
+    raw, index = bytearray(definitions), dict[int, list[int]]()
+    marks: list[int] = []
+    for records in torn:
+        position = 0
+        while position + MESSAGE.size <= len(records):
+            opcode, length, channel_id, _, log_ns, _ = MESSAGE.unpack_from(records, position)
+            end = position + RECORD.size + length
+            if opcode == Opcode.MESSAGE and channel_id in known:
+                index.setdefault(channel_id, []).extend((log_ns, len(raw)))
+                raw += records[position:end]
+                if len(raw) - (marks[-1] if marks else 0) >= BLOCK_BYTES:
+                    marks.append(len(raw))
+            position = end
+    return raw, marks, index

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.recorder.reprocess import Made
-from tramstream.recorder.source import Entry
+from tramstream.recorder.reader import Entry
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""

@@ -9,6 +9,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from tramstream.errors import RecordError
 from tramstream.recorder.chunk import Restored, decode_chunk, read_chunk_head, read_guard
+from tramstream.recorder.diskfile import Source
 from tramstream.recorder.layout import (
     COPY,
     GUARD_MAGIC,
@@ -19,7 +20,6 @@ from tramstream.recorder.layout import (
     tally,
 )
 from tramstream.recorder.scan import Damage, Part, Scan, restore, scan
-from tramstream.recorder.source import Source
 from tramstream.recorder.summary import Contents, read_summary
 
 _LONGEST_GUARD_BYTES = 1 << 18

@@ -4,7 +4,8 @@ A record is an MCAP file (https://mcap.dev/spec) in this order::
 
     magic  Header  Metadata "tramstream"  Copy
     ( Schema*  Channel*  Guard  Chunk  MessageIndex* )*
-    DataEnd  Schema*  Channel*  Statistics  ChunkIndex*  MetadataIndex*  SummaryOffset*  Footer  magic
+    DataEnd  Schema*  Channel*  Statistics  ChunkIndex*  MetadataIndex*  SummaryOffset*
+    Footer  magic
 
 Guard and Copy are private records (MCAP leaves opcodes from 0x80 to applications; other tools skip
 them). They hold what MCAP has no checksum for:
@@ -76,11 +77,15 @@ class Tally(NamedTuple):
     end: int
 
 
+NOTHING = Tally({}, [], [], 0, 0, 0)
+
+
 def encode(record: McapRecord) -> bytes:
     """Bytes of a record, opcode and length included."""
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
 
 
 def decode(kind: type[Record_], content: bytes) -> Record_ | None:

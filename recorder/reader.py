@@ -179,8 +179,8 @@ class Record:
             return class_.FromString(entry.payload)
         except Exception as error:
             raise RecordError(
-                f"{self.files[0].path}: a message on {entry.topic} is no {self.type_of(entry.topic)}"
-                f" ({error}); the publisher's version differs"
+                f"{self.files[0].path}: a message on {entry.topic} is no "
+                f"{self.type_of(entry.topic)} ({error}); the publisher's version differs"
             ) from error
 
     def type_of(self, topic: str) -> str:
@@ -197,7 +197,8 @@ class Record:
                 if schema.name == name and schema.encoding == "protobuf":
                     return _dynamic(schema)
         raise RecordError(
-            f"{self.files[0].path}: {topic} has no protobuf description; use a reader of its encoding"
+            f"{self.files[0].path}: {topic} has no protobuf description; use a reader of its "
+            "encoding"
         )
 
 

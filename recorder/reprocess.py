@@ -25,7 +25,7 @@ from tramstream.keys import Key
 from tramstream.processor import Processor, Sample
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.sync_pb2 import LateSample, Position, Snapshot, Tick
-from tramstream.recorder.source import Entry, Record
+from tramstream.recorder.reader import Entry, Record
 
 SETTLE_NS = 2 * S
 """A message that reaches the recorder so much later than a tick that counts it is lost."""

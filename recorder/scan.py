@@ -1,4 +1,4 @@
-"""Walk through a file that may be cut or damaged and find everything in it that can be proved right.
+"""Walk through a file that may be cut or damaged; find everything in it that can be proved.
 
 Each record is believed only if its lengths agree with each other; a chunk only if its checksum
 holds, else only those of its blocks that its guard vouches for. Where a record cannot be right, the
@@ -25,6 +25,7 @@ from tramstream.recorder.chunk import (
     read_chunk_head,
     read_guard,
 )
+from tramstream.recorder.diskfile import Source
 from tramstream.recorder.layout import (
     COPY,
     DATA_END_BYTES,
@@ -32,6 +33,7 @@ from tramstream.recorder.layout import (
     GUARD_MAGIC,
     MAGIC,
     MAX_RECORD_BYTES,
+    NOTHING,
     RECORD,
     VOID,
     Tally,
@@ -42,7 +44,6 @@ from tramstream.recorder.layout import (
     read_copy,
     tally,
 )
-from tramstream.recorder.source import Source
 from tramstream.recorder.summary import Contents, read_summary
 
 _WINDOW_BYTES = 1 << 20
@@ -81,7 +82,7 @@ class Part:
     head: ChunkHead | None
     guard: Guard | None = None
     whole: bool = True
-    tally: Tally = Tally({}, [], [], 0, 0, 0)
+    tally: Tally = NOTHING
     index_offsets: dict[int, int] = field(default_factory=dict)
     index_bytes: int = 0
 
@@ -101,7 +102,7 @@ class Scan:
     proved: Contents = field(default_factory=Contents)
     metadata: list[tuple[int, Metadata]] = field(default_factory=list)
     proved_metadata: list[tuple[int, Metadata]] = field(default_factory=list)
-    attachments: list[Attachment] = field(default_factory=list)
+    attachments: list[tuple[int, Attachment]] = field(default_factory=list)
     good_end: int = 0
     finished: bool = False
 
@@ -214,7 +215,7 @@ class _Walk:
             case Metadata():
                 found.metadata.append((position, record))
             case Attachment():
-                found.attachments.append(record)
+                found.attachments.append((position, record))
         return True
 
     def _copy(self, position: int, content: bytes) -> bool:
@@ -292,7 +293,7 @@ class _Walk:
     def _run(self, position: int) -> int | None:
         """Take messages that stand outside of chunks (foreign files)."""
         raw = self.source.read(position, min(_RUN_BYTES, self.end - position))
-        counted, end = Tally({}, [], [], 0, 0, 0), 0
+        end = 0
         while end + RECORD.size <= len(raw):
             opcode, length = RECORD.unpack_from(raw, end)
             if opcode != Opcode.MESSAGE or (length > len(raw) and end):

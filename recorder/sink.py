@@ -1,8 +1,8 @@
 """Bytes on their way to the disk, off the thread that receives them.
 
 A `Worker` runs jobs one after the other; a `Sink` hands whole groups of bytes to its file. A group
-that the disk refuses is cut off again and tried at the next flush: what stands in the file ends with
-a whole group unless the power goes while one is written.
+that the disk refuses is cut off again and tried at the next flush: what stands in the file ends
+with a whole group unless the power goes while one is written.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple
 
 LIMIT_BYTES = 32_000_000
 """Kept in memory while the disk refuses or stalls: some minutes of live traffic."""
@@ -23,7 +23,8 @@ ACTIVE = ".active"
 """Ending of a file that is still written, after its final name."""
 
 
-class Loss(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Loss:
     """Messages of one topic that never reached the disk: all published between the two instants."""
 
     topic: str
@@ -46,6 +47,15 @@ class LossBook:
         entry[0] += 1
         entry[1] = min(entry[1], publish_ns)
         entry[2] = max(entry[2], publish_ns)
+
+    def add_all(self, loss: Loss) -> None:
+        """Take over what another book counted."""
+        self.count += loss.count
+        first_ns, last_ns = loss.after_publish_ns + 1, loss.before_publish_ns - 1
+        entry = self._open.setdefault(loss.topic, [0, first_ns, last_ns])
+        entry[0] += loss.count
+        entry[1] = min(entry[1], first_ns)
+        entry[2] = max(entry[2], last_ns)
 
     def take(self) -> list[Loss]:
         """What was dropped since the last call."""
@@ -103,9 +113,9 @@ class Worker:
 class Sink:
     """One file that grows by whole groups, `<name>.active` until it is finished.
 
-    `put`, `flush` and `finish` only queue work. `error` is one sentence while the disk refuses, empty
-    otherwise; `spoiled` says that a sync failed, after which the kernel forgets what it has not
-    written: the owner should go on in another file.
+    `put`, `flush` and `finish` only queue work. `error` is one sentence while the disk refuses,
+    empty otherwise; `spoiled` says that a sync failed, after which the kernel forgets what it has
+    not written: the owner should go on in another file.
     """
 
     def __init__(self, final: Path, worker: Worker) -> None:
@@ -147,9 +157,9 @@ class Sink:
         self._finishing = True
         self.flush()
 
-    def abandon(self) -> list[bytes]:
-        """Close the file as it is and return the groups that are not in it."""
-        if self._fd >= 0:
+    def abandon(self, busy: bool = False) -> list[bytes]:
+        """Close the file as it is (if not `busy`) and return the groups that are not in it."""
+        if self._fd >= 0 and not busy:
             os.close(self._fd)
             self._fd = -1
         return list(self._groups)

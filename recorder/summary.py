@@ -11,6 +11,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -23,6 +25,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from tramstream.recorder.diskfile import Source
 from tramstream.recorder.layout import (
     DATA_END_BYTES,
     FOOTER_BYTES,
@@ -32,13 +35,13 @@ from tramstream.recorder.layout import (
     copy_of,
     encode,
 )
-from tramstream.recorder.source import Source
 
 _KINDS: dict[int, type[McapRecord]] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
     Opcode.STATISTICS: Statistics,
     Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex,
 }
 
@@ -52,7 +55,7 @@ class Contents:
     counts: dict[int, int] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
-    attachments: int = 0
+    attachments: list[AttachmentIndex] = field(default_factory=list)
     start_ns: int = 0
     end_ns: int = 0
 
@@ -75,6 +78,20 @@ class Contents:
         record = encode(Metadata(METADATA_NAME, values))
         self.metadata.append(MetadataIndex(offset, len(record), METADATA_NAME))
         return record + copy_of(record)
+
+    def add_attachment(self, record: Attachment, offset: int, length: int) -> None:
+        """Take note of an attachment at `offset`."""
+        self.attachments.append(
+            AttachmentIndex(
+                offset=offset,
+                length=length,
+                log_time=record.log_time,
+                create_time=record.create_time,
+                data_size=len(record.data),
+                name=record.name,
+                media_type=record.media_type,
+            )
+        )
 
     def finish(self, offset: int, data_crc: int) -> bytes:
         """Everything from DataEnd to the last magic, for a data section that ends at `offset`.
@@ -105,7 +122,7 @@ class Contents:
 
     def _groups(self) -> Iterable[tuple[Opcode, Iterable[McapRecord]]]:
         statistics = Statistics(
-            attachment_count=self.attachments,
+            attachment_count=len(self.attachments),
             channel_count=len(self.channels),
             channel_message_counts=self.counts,
             chunk_count=len(self.chunks),
@@ -119,6 +136,7 @@ class Contents:
         yield Opcode.CHANNEL, self.channels.values()
         yield Opcode.STATISTICS, [statistics]
         yield Opcode.CHUNK_INDEX, self.chunks
+        yield Opcode.ATTACHMENT_INDEX, self.attachments
         yield Opcode.METADATA_INDEX, self.metadata
 
 
@@ -142,7 +160,6 @@ def read_summary(source: Source) -> tuple[Contents, int] | None:
     if statistics is None or (statistics.message_count and not contents.chunks):
         return None
     contents.counts = {id_: n for id_, n in statistics.channel_message_counts.items() if n}
-    contents.attachments = statistics.attachment_count
     contents.start_ns = statistics.message_start_time
     contents.end_ns = statistics.message_end_time
     if contents.message_count != statistics.message_count:
@@ -173,6 +190,8 @@ def _collect(body: bytes) -> tuple[Contents, Statistics | None]:
                 contents.chunks.append(record)
             case MetadataIndex():
                 contents.metadata.append(record)
+            case AttachmentIndex():
+                contents.attachments.append(record)
             case Statistics():
                 statistics = record
     return contents, statistics

@@ -15,6 +15,7 @@ from __future__ import annotations
 import socket
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, Schema
 
 from tramstream import __version__
 from tramstream.clock import boot_id
@@ -36,6 +37,7 @@ from tramstream.recorder.layout import MAGIC, MESSAGE, RECORD, encode, entries_o
 from tramstream.recorder.sink import LIMIT_BYTES, Loss, LossBook, Sink, Worker
 from tramstream.recorder.summary import Contents
 
+_SOFTWARE = f"tramstream {__version__}"
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size even between flushes."""
 _PAYLOAD_FROM = MESSAGE.size - RECORD.size
@@ -58,13 +60,14 @@ class RecordFile:
     path : Path
         Final name.
     vehicle : str
+        Empty for messages that are not tramstream's: the file then says nothing of us.
     metadata : Mapping[str, str], optional
         Added to the metadata record "tramstream" beside schema_version, vehicle and software. What
         tells one host or boot from another goes here (`host_metadata`), not into the writer.
     worker : Worker, optional
-        With one the file is live: disk work is the worker's, trouble is shown in `state` and `text`,
-        dropped messages are counted. Without one each full chunk is written at once and trouble
-        raises RecordError.
+        With one the file is live: disk work is the worker's, trouble is shown in `state` and
+        `text`, dropped messages are counted. Without one each full chunk is written at once and
+        trouble raises RecordError.
     chunk_bytes, limit_bytes : int
         Size at which a chunk is closed; most that is kept while the disk refuses.
 
@@ -96,18 +99,22 @@ class RecordFile:
         self._by_id: dict[int, _Stream] = {}
         self._fresh: list[bytes] = []
         self._crc = 0
+        self.file_id = file_id_of(b"")
         self._full = self._closed = False
-        self._begin_chunk()
+        self._buffer = bytearray()
+        self._marks: list[int] = []
+        self._next_mark = BLOCK_BYTES
         values = {
             "schema_version": str(SCHEMA_VERSION),
             "vehicle": vehicle,
-            "software": f"tramstream {__version__}",
+            "software": _SOFTWARE,
             **(metadata or {}),
         }
-        head = MAGIC + encode(Header("tramstream", f"tramstream {__version__}"))
-        record = self.contents.add_metadata(values, len(head))
-        length = RECORD.size + RECORD.unpack_from(record)[1]
-        self.file_id = file_id_of(record[:length])
+        head = MAGIC + encode(Header("tramstream" if vehicle else "", _SOFTWARE))
+        record = b""
+        if vehicle:
+            record = self.contents.add_metadata(values, len(head))
+            self.file_id = file_id_of(record[: RECORD.size + RECORD.unpack_from(record)[1]])
         self._put(head + record)
 
     @property
@@ -174,6 +181,16 @@ class RecordFile:
         stream = _Stream(channel.id, channel.topic)
         self._by_id[channel.id] = stream
         self._streams.setdefault(channel.topic, stream)
+
+    def attach(self, record: Metadata | Attachment) -> None:
+        """Add a metadata record or an attachment that is not ours, as it is."""
+        data = encode(record)
+        if isinstance(record, Metadata):
+            index = MetadataIndex(self._sink.size, len(data), record.name)
+            self.contents.metadata.append(index)
+        else:
+            self.contents.add_attachment(record, self._sink.size, len(data))
+        self._put(data)
 
     def append(
         self,
@@ -250,10 +267,13 @@ class RecordFile:
         self._sink.finish()
         self._raise()
 
-    def abandon(self) -> None:
-        """Leave the file unfinished; what is not in it counts as dropped."""
+    def abandon(self, busy: bool = False) -> None:
+        """Leave the file unfinished; what is not in it counts as dropped.
+
+        `busy` says that the worker may hang in the file: it is then not closed either.
+        """
         self._close_chunk()
-        for group in self._sink.abandon():
+        for group in self._sink.abandon(busy):
             self._count_lost(group)
 
     def discard(self) -> None:
@@ -271,7 +291,9 @@ class RecordFile:
         if kind is None:
             self.close()
         else:
-            self.abandon()  # the next `recover` finds all that was appended
+            with suppress(RecordError):  # `recover` then finds all that was appended
+                self.flush()
+            self.abandon()
 
     def _write(self) -> None:
         self._sink.flush()
@@ -298,11 +320,6 @@ class RecordFile:
         self.define(channel, schema)
         return self._streams[topic]
 
-    def _begin_chunk(self) -> None:
-        self._buffer = bytearray()
-        self._marks: list[int] = []
-        self._next_mark = BLOCK_BYTES
-
     def _messages(self) -> int:
         return sum(len(stream.index) for stream in self._by_id.values()) // 2
 
@@ -324,7 +341,7 @@ class RecordFile:
             self.contents.count(id_, len(entries) // 2)
             self._by_id[id_].index = []
         self._fresh.clear()
-        self._begin_chunk()
+        self._buffer, self._marks, self._next_mark = bytearray(), [], BLOCK_BYTES
         self._put(definitions + guard + chunk + indexes)
         self._full = self._live and self._sink.pending_bytes > self._limit_bytes
 

@@ -60,8 +60,12 @@ class Bus(ABC):
 
     def __init__(self, clock: VehicleClock) -> None:
         self.clock = clock
-        self.session = int.from_bytes(os.urandom(4), "little")
         self._last_publish_ns: dict[str, int] = {}
+        self.renew_session()
+
+    def renew_session(self) -> None:
+        """Begin sequence numbers anew: readers take it for another start of the publisher."""
+        self.session = int.from_bytes(os.urandom(4), "little")
 
     def publish_time(self, topic: str) -> int:
         """Now, but later than anything published on `topic` before: it names the message."""
@@ -166,20 +170,28 @@ class LocalBus(Bus):
 class ZenohBus(Bus):
     """A zenoh session on the vehicle's Unix socket, as a client or as the router itself."""
 
-    def __init__(self, session: Any, clock: VehicleClock) -> None:
+    def __init__(self, session: Any, clock: VehicleClock, patient: bool = False) -> None:
         super().__init__(clock)
         self._session = session
+        self._congestion = (
+            zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
+        )
         self._publishers: dict[str, Any] = {}
         self._held: list[Any] = []
         self._lock = threading.Lock()
 
     @classmethod
     def connect(
-        cls, runtime_dir: Path, clock: VehicleClock, stop: threading.Event | None = None
+        cls,
+        runtime_dir: Path,
+        clock: VehicleClock,
+        stop: threading.Event | None = None,
+        patient: bool = False,
     ) -> ZenohBus:
         """Join as a client; afterwards the router may go and come again.
 
-        With `stop`, wait until there is a router or `stop` is set; without, fail at once.
+        With `stop`, wait until there is a router or `stop` is set; without, fail at once. A
+        `patient` publisher waits for a slow reader instead of dropping: for replays, never live.
 
         Raises
         ------
@@ -190,7 +202,7 @@ class ZenohBus(Bus):
         while True:
             if router_listens(runtime_dir):
                 try:
-                    return cls(_open(_client_config(path)), clock)
+                    return cls(_open(_client_config(path)), clock, patient)
                 except BusError:  # the router went in this instant
                     if stop is None:
                         raise
@@ -201,7 +213,7 @@ class ZenohBus(Bus):
                 )
 
     @classmethod
-    def route(cls, runtime_dir: Path, clock: VehicleClock) -> ZenohBus:
+    def route(cls, runtime_dir: Path, clock: VehicleClock, patient: bool = False) -> ZenohBus:
         """Be the router that clients meet at; also a full member of the bus.
 
         Raises
@@ -216,7 +228,7 @@ class ZenohBus(Bus):
                 "or `replay`, or give this one another $.bus.runtime_dir"
             )
         path.unlink(missing_ok=True)  # left by a router that was killed
-        return cls(_open(_router_config(path)), clock)
+        return cls(_open(_router_config(path)), clock, patient)
 
     def publish(
         self, topic: str, payload: bytes, encoding: str, sequence: int, publish_ns: int | None = None
@@ -229,7 +241,7 @@ class ZenohBus(Bus):
                 publisher = self._session.declare_publisher(
                     topic,
                     encoding=encoding,
-                    congestion_control=zenoh.CongestionControl.DROP,
+                    congestion_control=self._congestion,
                     express=True,
                 )
                 self._publishers[topic] = publisher

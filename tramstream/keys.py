@@ -48,7 +48,7 @@ class Key:
 
     def on(self, vehicle: str) -> str:
         """Full key on `vehicle`."""
-        return f"{ROOT}/{vehicle}/{self.path}"
+        return full(vehicle, self.path)
 
     def at(self, source: str) -> Key:
         """The same quantity of another source: `HEARTBEAT.at("imu")`."""
@@ -126,6 +126,11 @@ CLOCK = _key("health/clock/reference", health_pb2.ClockReference, 0.1, "publicat
 
 ALL: tuple[Key, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Key))
 _BY_PATH = {key.path: key for key in ALL}
+
+
+def full(vehicle: str, path: str) -> str:
+    """Full key, or key expression, of `path` on `vehicle`."""
+    return f"{ROOT}/{vehicle}/{path}"
 
 
 def alive(vehicle: str, node: str) -> str:

@@ -105,7 +105,7 @@ class Node(ABC):
     def run(self) -> None:
         """Work until `stop` is set, then on what is still queued, then finish."""
         subscriptions = [
-            self.bus.subscribe(f"{keys.ROOT}/{self.vehicle}/{expression}", self._deliver)
+            self.bus.subscribe(keys.full(self.vehicle, expression), self._deliver)
             for expression in self.expressions()
         ]
         self.bus.announce(keys.alive(self.vehicle, self.name))

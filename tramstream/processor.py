@@ -8,14 +8,15 @@ The live loop, reprocessing and the tests call the same `step`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from google.protobuf.message import Message
 
 from tramstream.keys import Key
+from tramstream.proto.sync_pb2 import LateSample
 
 State = dict[str, Any]
 """Plain data: None, bool, int, float, str, bytes, lists, dicts and numpy arrays of these."""
@@ -96,6 +97,14 @@ class Processor(ABC):
 
     def restore_sequences(self, state: State) -> None:
         self._next_sequence = deepcopy(state)
+
+
+@runtime_checkable
+class Ordering(Protocol):
+    """A processor that decides what is late; reprocessing tells it what was late live."""
+
+    late_recorded: Mapping[tuple[str, int], LateSample] | None
+    """By (key path, publish_ns); None while live."""
 
 
 def stamp(message: Any, stamp_ns: int, sequence: int) -> None:

@@ -61,7 +61,7 @@ def node_names(vehicle: Vehicle, separate: bool = False) -> list[str]:
     """Nodes that `vehicle` needs, in the order in which they start."""
     processors = names("processors") if separate else [PROCESSORS]
     simulators = ["simulators"] if vehicle.simulators else []
-    return ["recorder", *processors, *configured_bridges(vehicle), *simulators]
+    return ["recorder", *simulators, *processors, *configured_bridges(vehicle)]
 
 
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:

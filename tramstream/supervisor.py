@@ -2,7 +2,7 @@
 
 The supervisor's process is the bus' router too. A node's standard input is a pipe that nobody
 writes to: when the supervisor is gone, it ends, and so does the node. Nodes end in the order
-simulators, bridges, processors, recorder, so that the record holds the last word of each.
+bridges, processors, simulators, recorder, so that the record holds the last word of each.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from tramstream import keys, registry
@@ -28,7 +28,6 @@ START_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 10.0
 GOOD_RUN_S = 30.0
 """Who lived so long is started again at once."""
-CONFIG_EXIT = 2
 
 
 @dataclass
@@ -41,8 +40,6 @@ class Child:
     starts: int = 0
     backoff_s: float = BACKOFF_FIRST_S
     again_s: float = 0.0
-    lived: bool = field(default=False)
-    """Whether it has been seen alive on the bus."""
 
 
 class Supervisor:
@@ -73,15 +70,19 @@ class Supervisor:
         self.children = [Child(name) for name in registry.node_names(vehicle, separate)]
 
     def start(self) -> None:
-        """Start all nodes, each after the one before it is alive on the bus.
+        """Start the recorder, and once it is alive on the bus all others at once.
 
         Raises
         ------
         subprocess.CalledProcessError
             If a node refuses its configuration; it has said why on standard error.
         """
-        for child in self.children:
+        first, *others = self.children
+        self._spawn(first)
+        self._await_alive(first)
+        for child in others:
             self._spawn(child)
+        for child in others:
             self._await_alive(child)
 
     def watch(self) -> None:
@@ -140,7 +141,6 @@ class Supervisor:
             if status is not None:
                 raise subprocess.CalledProcessError(status, process.args)
             if self.bus.alive(token):
-                child.lived = True
                 return
             time.sleep(0.02)
         self._say(f"node {child.name} is not on the bus after {START_TIMEOUT_S:.0f} s; going on")

@@ -1,0 +1,186 @@
+"""Figures that need processes: the bus' round trip, and the whole pipeline on simulated devices."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tramstream import keys
+from tramstream.bus import Envelope, ZenohBus
+from tramstream.cli import fleet
+from tramstream.cli.bench_stages import Figure
+from tramstream.cli.demo import configuration
+from tramstream.clock import S, VehicleClock
+from tramstream.config import load
+from tramstream.recorder.reader import Record, open_record
+from tramstream.recorder.rerun import rerun
+from tramstream.ring import Ring
+
+PINGS = 2000
+WARM_UP_S = 5.0
+"""Before that processes are still importing and clocks are being fitted."""
+PING, PONG = keys.full("bench", "ping"), keys.full("bench", "pong")
+
+ECHO = """
+import sys, time
+from pathlib import Path
+from tramstream.bus import ZenohBus
+from tramstream.clock import VehicleClock
+from tramstream.cli.bench_live import PING, PONG
+folder = Path(sys.argv[1])
+bus = ZenohBus.connect(folder, VehicleClock.shared(folder))
+bus.subscribe(PING, lambda e: bus.publish(PONG, e.payload, e.encoding, e.sequence))
+sys.stdin.read()
+bus.close()
+"""
+
+
+def bus_round_trip() -> list[Figure]:
+    """There and back through the router, between two processes, 400 bytes, a thousand a second."""
+    with tempfile.TemporaryDirectory(prefix="tramstream-", dir="/tmp") as name:
+        folder = Path(name)
+        clock = VehicleClock.shared(folder)
+        router = ZenohBus.route(folder, clock)
+        other = subprocess.Popen([sys.executable, "-c", ECHO, name], stdin=subprocess.PIPE)
+        bus = ZenohBus.connect(folder, clock)
+        ring: Ring[Envelope] = Ring(100)
+        try:
+            bus.subscribe(PONG, lambda envelope: ring.put("", envelope))
+            times = _ping(bus, ring)
+        finally:
+            other.communicate(b"", timeout=10)
+            bus.close()
+            router.close()
+    return [
+        Figure("bus_round_trip_p50_ms", float(np.percentile(times, 50))),
+        Figure("bus_round_trip_p99_ms", float(np.percentile(times, 99))),
+    ]
+
+
+def _ping(bus: ZenohBus, ring: Ring[Envelope]) -> list[float]:
+    payload = bytes(400)
+    deadline_s = time.monotonic() + 20.0
+    while ring.get(0.05) is None and time.monotonic() < deadline_s:
+        bus.publish(PING, payload, "bytes", 1)  # until the other side has subscribed
+    while ring.get(0.2) is not None:
+        pass
+    times = []
+    for sequence in range(PINGS):
+        begin = time.perf_counter()
+        bus.publish(PING, payload, "bytes", sequence + 1)
+        if ring.get(1.0) is not None:
+            times.append(1e3 * (time.perf_counter() - begin))
+        time.sleep(0.001)
+    return times
+
+
+def live_pipeline(duration_s: float) -> list[Figure]:
+    """The demo's vehicle for `duration_s` after warming up, then its record reprocessed."""
+    with tempfile.TemporaryDirectory(prefix="tramstream-", dir="/tmp") as name:
+        folder = Path(name)
+        config = folder / "bench.toml"
+        config.write_text(configuration(folder, seed=1))
+        vehicle = load(config)
+        with fleet.running(vehicle, config, lambda text: None) as run:
+            usage = _Usage()
+            run.until(_Never(), WARM_UP_S)
+            usage.begin(run.children)
+            run.until(_Never(), duration_s)
+            usage.end(run.children)
+        (path,) = (folder / "records").glob("*.mcap")
+        with open_record(path) as record:
+            latency = _latency(record)
+        begin = time.perf_counter()
+        result = rerun(path, folder / "again.mcap", None, check=True)
+        elapsed_s = time.perf_counter() - begin
+    pipeline = [name for name in usage.cpu_percent if name != "simulators"]
+    return [
+        *(Figure(f"live_{n}_core_percent", usage.cpu_percent[n]) for n in pipeline if n != "recorder"),
+        Figure("live_recorder_core_percent", usage.cpu_percent["recorder"], 5.0, False),
+        Figure("live_pipeline_core_percent", sum(usage.cpu_percent[n] for n in pipeline), 25.0, False),
+        Figure("live_pipeline_rss_mb", sum(usage.rss_mb[n] for n in pipeline), 200.0, False),
+        Figure("live_pipeline_pss_mb", sum(usage.pss_mb[n] for n in pipeline)),
+        Figure("live_simulators_core_percent", usage.cpu_percent["simulators"]),
+        *latency,
+        Figure("reprocess_times_real_time", result.duration_s / elapsed_s, 100.0),
+        Figure("reprocess_identical", float(result.identical), 1.0),
+    ]
+
+
+def _latency(record: Record) -> list[Figure]:
+    """From the newest sample in a window to the publication of its mean; from the centre too."""
+    topic = keys.SYNC_IMU.on(record.vehicle)
+    after_newest, after_centre = [], []
+    start_ns = record.start_ns + int(WARM_UP_S * S)
+    for entry in record.messages(lambda name: name == topic, start_ns):
+        mean: Any = record.decode(entry)
+        centre_ms = (entry.publish_ns - mean.stamp_ns) / 1e6
+        after_centre.append(centre_ms)
+        after_newest.append(centre_ms - 500.0 * mean.interval_s)
+    return [
+        Figure("imu_to_sync_p50_ms", float(np.percentile(after_newest, 50)), 20.0, False),
+        Figure("imu_to_sync_p99_ms", float(np.percentile(after_newest, 99)), 20.0, False),
+        Figure("imu_centre_to_sync_p99_ms", float(np.percentile(after_centre, 99))),
+    ]
+
+
+class _Never:
+    """An event that is never set."""
+
+    def is_set(self) -> bool:
+        return False
+
+    def wait(self, timeout_s: float) -> bool:
+        time.sleep(timeout_s)
+        return False
+
+
+class _Usage:
+    """Processor time and memory of the nodes' processes, from /proc."""
+
+    def __init__(self) -> None:
+        self.cpu_percent: dict[str, float] = {}
+        self.rss_mb: dict[str, float] = {}
+        self.pss_mb: dict[str, float] = {}
+        self._before: dict[str, float] = {}
+        self._begin_s = 0.0
+
+    def begin(self, children: list[Any]) -> None:
+        self._begin_s = time.monotonic()
+        self._before = {name: _cpu_s(pid) for name, pid in _pids(children).items()}
+
+    def end(self, children: list[Any]) -> None:
+        elapsed_s = time.monotonic() - self._begin_s
+        for name, pid in _pids(children).items():
+            used_s = _cpu_s(pid) - self._before[name]
+            self.cpu_percent[name] = 100.0 * used_s / elapsed_s
+            memory = _memory_mb(pid)
+            self.rss_mb[name], self.pss_mb[name] = memory["Rss"], memory["Pss"]
+
+
+def _pids(children: list[Any]) -> dict[str, str]:
+    """Process of every node; the router's is this one."""
+    pids = {c.name: str(c.process.pid) for c in children if c.process is not None}
+    return {**pids, "router": "self"}
+
+
+def _cpu_s(pid: str) -> float:
+    import os
+
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory_mb(pid: str) -> dict[str, float]:
+    found = {}
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+        name, _, rest = line.partition(":")
+        if name in ("Rss", "Pss"):
+            found[name] = int(rest.split()[0]) / 1024.0
+    return found

@@ -1,0 +1,237 @@
+"""Figures of the stages that need no bus: bytes and messages made here, medians of repeated runs."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tramstream import keys
+from tramstream.bridges import adis, framing, simulated, simulated_gnss
+from tramstream.bridges.gnss import GnssBridge
+from tramstream.bridges.imu import ImuBridge
+from tramstream.clock import S
+from tramstream.config import Gnss, Imu, Vehicle
+from tramstream.line import built_in_line
+from tramstream.processor import Sample
+from tramstream.processors.distance import DistanceFilter
+from tramstream.processors.resampler import Resampler
+from tramstream.proto.raw_pb2 import ImuBatch, Odometry, RawBytes, WheelReading
+from tramstream.recorder.reader import open_record
+from tramstream.recorder.writer import RecordFile
+from tramstream.ride import Ride
+
+REPEATS = 5
+VEHICLE = Vehicle(
+    vehicle="bench", imu=Imu(device="/dev/null"), gnss=Gnss(device="/dev/null", baud_rate=460800)
+)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure; its unit stands at the end of its name."""
+
+    name: str
+    value: float
+    goal: float | None = None
+    more_is_better: bool = True
+
+    @property
+    def met(self) -> bool:
+        if self.goal is None:
+            return True
+        return self.value >= self.goal if self.more_is_better else self.value <= self.goal
+
+
+def median_s(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """Median duration of `work`, after one run that does not count."""
+    work()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def gnss_bytes(seconds: float = 120.0) -> bytes:
+    """What the simulated receiver says on a ride: PVT, COV, TIMEGPS, SAT, …"""
+    ride = Ride(built_in_line())
+    rng = np.random.default_rng(1)
+    device = simulated_gnss.GnssDevice()
+    parts = []
+    for chunk in simulated_gnss.gnss_stream(ride, rng, 0, device, simulated.NO_FAULTS):
+        if chunk.due_ns > seconds * S:
+            break
+        parts.append(chunk.data)
+    return b"".join(parts)
+
+
+def imu_bytes(seconds: float = 20.0) -> bytes:
+    """What the simulated IMU says on a ride."""
+    ride = Ride(built_in_line())
+    rng = np.random.default_rng(1)
+    stream = simulated.imu_stream(
+        simulated.riding(ride), rng, 0, seconds, simulated.ImuDevice(), simulated.NO_FAULTS
+    )
+    return b"".join(chunk.data for chunk in stream)
+
+
+def _reads(data: bytes, size: int) -> list[RawBytes]:
+    return [
+        RawBytes(stamp_ns=S + begin * 1000, data=data[begin : begin + size])
+        for begin in range(0, len(data), size)
+    ]
+
+
+def ubx() -> list[Figure]:
+    data = gnss_bytes() * 4
+
+    def frame() -> None:
+        framer = framing.Framer()
+        for begin in range(0, len(data), 4096):
+            framer.feed(data[begin : begin + 4096])
+
+    reads = _reads(data, 4096)
+
+    def decode() -> None:
+        bridge = GnssBridge(VEHICLE)
+        for read in reads:
+            bridge.step(Sample(keys.GNSS_BYTES, read, read.stamp_ns, 0))
+
+    megabytes = len(data) / 1e6
+    return [
+        Figure("ubx_framing_mb_s", megabytes / median_s(frame), 30.0),
+        Figure("ubx_bridge_mb_s", megabytes / median_s(decode)),
+    ]
+
+
+def imu() -> list[Figure]:
+    data = imu_bytes()
+    bursts = len(data) / adis.FRAME_LENGTH
+
+    def frame() -> None:
+        framer = adis.AdisFramer()
+        for begin in range(0, len(data), 4096):
+            framer.feed(data[begin : begin + 4096])
+
+    live_read = 10 * adis.FRAME_LENGTH  # 5 ms at 2 kHz
+    reads = _reads(data, live_read)
+
+    def decode() -> None:
+        bridge = ImuBridge(VEHICLE)
+        for read in reads:
+            bridge.step(Sample(keys.IMU_BYTES, read, read.stamp_ns, 0))
+
+    return [
+        Figure("adis_framing_bursts_s", bursts / median_s(frame), 100_000.0),
+        Figure("imu_bridge_samples_s", bursts / median_s(decode)),
+    ]
+
+
+def imu_batches(count: int = 5000) -> list[Sample]:
+    rng = np.random.default_rng(1)
+    samples = []
+    for index in range(count):
+        columns = rng.integers(-4000, 4000, (6, 20))
+        batch = ImuBatch(
+            stamp_ns=S + index * S // 100,
+            sequence=index + 1,
+            first_sample_sequence=20 * index,
+            period_ns=5e5,
+            gyro_scale_radps=1e-4,
+            accel_scale_mps2=2.45e-3,
+            temperature_scale_degc=0.1,
+        )
+        names = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+        for name, column in zip(names, columns, strict=True):
+            getattr(batch, name).extend(column.tolist())
+        samples.append(Sample(keys.IMU_BATCH, batch, batch.stamp_ns, batch.sequence, index + 1))
+    return samples
+
+
+def processors() -> list[Figure]:
+    batches = imu_batches()
+    wheels = [
+        Sample(
+            keys.ODO_WHEELS,
+            Odometry(
+                stamp_ns=S + index * S // 50,
+                sequence=index + 1,
+                wheels=[
+                    WheelReading(wheel="left", pulses=200 * index),
+                    WheelReading(wheel="right", pulses=200 * index),
+                ],
+            ),
+            S + index * S // 50,
+            index + 1,
+            index + 1,
+        )
+        for index in range(len(batches) // 2)
+    ]
+    frames: list[Sample] = []
+
+    def resample() -> None:
+        resampler = Resampler(VEHICLE)
+        frames.clear()
+        for index, batch in enumerate(batches):
+            if index % 2 == 0:
+                resampler.step(wheels[index // 2])
+            frames.extend(s for s in resampler.step(batch) if s.key is keys.SYNC_FRAME)
+
+    resample_s = median_s(resample)
+    updates = sum(len(frame.message.odometry) for frame in frames)
+
+    def travel() -> None:
+        distance = DistanceFilter(VEHICLE)
+        for frame in frames:
+            distance.step(frame)
+
+    return [
+        Figure("resampler_samples_s", 20 * len(batches) / resample_s, 500_000.0),
+        Figure("distance_step_us", 1e6 * median_s(travel) / updates),
+    ]
+
+
+def record() -> list[Figure]:
+    batches = imu_batches(20_000)
+    payloads = [batch.message.SerializeToString() for batch in batches]
+    topic = keys.IMU_BATCH.on("bench")
+    megabytes = sum(map(len, payloads)) / 1e6
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.mcap"
+
+        def write() -> None:
+            path.unlink(missing_ok=True)
+            with RecordFile(path, "bench") as target:
+                for batch, payload in zip(batches, payloads, strict=True):
+                    target.append(
+                        topic, keys.IMU_BATCH, payload, batch.stamp_ns, batch.stamp_ns, 1
+                    )
+
+        def read() -> None:
+            with open_record(path) as source:
+                for _ in source.messages():
+                    pass
+
+        write_s = median_s(write)
+        read_s = median_s(read)
+    return [
+        Figure("record_write_mb_s", megabytes / write_s),
+        Figure("record_write_messages_s", len(payloads) / write_s),
+        Figure("record_read_messages_s", len(payloads) / read_s),
+    ]
+
+
+STAGES: dict[str, Callable[[], list[Figure]]] = {
+    "ubx": ubx,
+    "imu": imu,
+    "processors": processors,
+    "record": record,
+}

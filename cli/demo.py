@@ -1,0 +1,171 @@
+"""`tramstream demo`: a ride on simulated devices through everything that runs on a tram."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def demo(
+    duration_s: Annotated[
+        float, typer.Option("--duration-s", help="Length of the ride; 0 is until Ctrl-C.", min=0.0)
+    ] = 60.0,
+    rate: Annotated[
+        float, typer.Option(help="Times real time: the whole ride runs on a faster clock.", min=0.1)
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(help="Of the simulated sensors.")] = 7,
+    out: Annotated[Path | None, typer.Option(help="Record to write; default demo-<time>.mcap.")] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="No live screen.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+) -> None:
+    """Simulate a ride through real bridges, bus, processors and recorder; end with the errors.
+
+    The devices are simulated, the rest is what runs on the vehicle: GNSS and IMU bytes on pseudo
+    terminals, CAN through an slcan adapter, processes that meet on zenoh. On the way the receiver
+    is unplugged, frames are corrupted and samples are lost.
+    """
+    import json
+    import shutil
+    import tempfile
+    import time
+    from dataclasses import asdict
+
+    from tramstream.cli import fleet
+    from tramstream.cli.demo_report import summarise
+    from tramstream.cli.session import say, stop_on_signals
+    from tramstream.config import load
+    from tramstream.errors import ConfigError, DamagedRecordError
+
+    target = out or Path(time.strftime("demo-%Y%m%dT%H%M%S.mcap"))
+    if target.exists():
+        raise ConfigError(f"{target}: exists already; choose another --out or delete it")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    stop = stop_on_signals()
+    folder = Path(tempfile.mkdtemp(prefix="tramstream-demo-", dir="/tmp"))
+    try:
+        config = folder / "demo.toml"
+        config.write_text(configuration(folder, seed))
+        vehicle = load(config)
+        with fleet.running(vehicle, config, say, rate=rate) as run:
+            _watch(run, stop, duration_s, headless or json_)
+        parts = sorted((folder / "records").glob("*.mcap"))
+        if len(parts) != 1:
+            raise DamagedRecordError(f"the recorder left {len(parts)} files in {folder}/records")
+        shutil.move(parts[0], target)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    report = summarise(target)
+    if json_:
+        print(json.dumps({"record": str(target), **asdict(report)}))
+    else:
+        _print(report, target)
+    if report.lost or report.unbalanced:
+        raise DamagedRecordError(
+            f"{report.lost} messages were lost; stages that do not add up: "
+            f"{', '.join(report.unbalanced) or 'none'}"
+        )
+
+
+def configuration(folder: Path, seed: int) -> str:
+    """The demo's vehicle configuration: like a real one, with simulated devices."""
+    from importlib.resources import files
+
+    dbc = files("tramstream") / "data" / "tram.dbc"
+    return f"""\
+vehicle = "demo"
+
+[bus]
+runtime_dir = "{folder}/run"
+
+[gnss]
+device = "{folder}/ride.gnss"
+
+[imu]
+device = "{folder}/ride.imu"
+
+[odometer]
+interface = "slcan"
+channel = "{folder}/ride.can"
+dbc = "{dbc}"
+wheels.left = {{ message = "WHEELS", signal = "PULSES_LEFT", kind = "pulses" }}
+wheels.right = {{ message = "WHEELS", signal = "PULSES_RIGHT", kind = "pulses" }}
+doors_open = {{ message = "DOORS", signal = "DOORS_OPEN" }}
+motor_force_n = {{ message = "DRIVE", signal = "MOTOR_FORCE" }}
+
+[recorder]
+directory = "{folder}/records"
+split_s = 1e6
+
+[simulators.ride]
+kind = "ride"
+link = "{folder}/ride"
+seed = {seed}
+"""
+
+
+def _watch(run: Any, stop: Any, duration_s: float, headless: bool) -> None:
+    """Let the ride run, with the live screen or a line every ten seconds."""
+    import sys
+    import time
+
+    from tramstream.cli.session import say
+
+    begin_s = time.monotonic()
+    said = 0
+
+    def each() -> None:
+        nonlocal said
+        elapsed_s = (time.monotonic() - begin_s) * run.bus.clock.rate
+        if elapsed_s >= said + 10:
+            said += 10
+            say(f"{said} s of {duration_s:g} s")
+
+    if headless or not sys.stdout.isatty():
+        run.until(stop, duration_s, each)
+        return
+    from tramstream.cli.top import live_screen
+
+    title = f"tramstream demo: a simulated ride, {duration_s:g} s. Ctrl-C ends it early."
+    with live_screen(run.bus, run.vehicle.vehicle, title) as refresh:
+        run.until(stop, duration_s, refresh)
+
+
+def _print(report: Any, target: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from tramstream import keys
+
+    console = Console()
+    table = Table(title=f"{target}: {report.duration_s:.1f} s, {report.messages} messages", box=None)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("", style="dim")
+    rates = report.rates_hz
+    rows = [
+        ("lost", f"{report.lost}", "messages any node missed, by sequence numbers"),
+        ("travelled", f"{report.distance_m:.2f} m", "truth"),
+        ("distance error", f"{report.distance_rms_m:.3f} m", "RMS against the truth"),
+        ("", f"{report.distance_end_m:+.3f} m", "at the end"),
+        ("speed error", f"{report.speed_rms_mps:.4f} m/s", "RMS of the estimate"),
+        ("", f"{report.gnss_speed_rms_mps:.4f} m/s", "RMS of GNSS alone"),
+        ("IMU", f"{rates.get(keys.IMU_BATCH.path, 0) * 20:.0f} Hz", "samples"),
+        ("odometry", f"{rates.get(keys.ODO_WHEELS.path, 0):.1f} Hz", ""),
+        ("GNSS", f"{rates.get(keys.GNSS_FIX.path, 0):.2f} Hz", ""),
+        ("sync", f"{rates.get(keys.SYNC_FRAME.path, 0):.1f} Hz", "frames at the fusion horizon"),
+    ]
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    injected = ", ".join(f"{name} {count}" for name, count in report.injected.items() if count)
+    found = ", ".join(f"{name} {count}" for name, count in report.found.items() if count)
+    console.print(f"faults injected: {injected or 'none'}", soft_wrap=True, highlight=False)
+    console.print(f"faults found:    {found or 'none'}", soft_wrap=True, highlight=False)
+    console.print(
+        f"next: tramstream info {target}; tramstream reprocess {target} -o again.mcap --check; "
+        f"tramstream replay {target}",
+        soft_wrap=True,
+        highlight=False,
+    )

@@ -1,0 +1,110 @@
+"""What a demo ride came to: errors against the known truth, losses, injected faults and what the
+bridges made of them. All of it is read from the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tramstream import keys
+from tramstream.clock import S
+from tramstream.proto.health_pb2 import DeviceHealth, Loss, NodeHealth
+from tramstream.recorder.reader import open_record
+
+
+@dataclass
+class DemoReport:
+    """Figures of one demo record."""
+
+    duration_s: float = 0.0
+    messages: int = 0
+    lost: int = 0
+    """Messages that any node missed, by sequence numbers, and samples unaccounted for."""
+    distance_m: float = 0.0
+    distance_rms_m: float = 0.0
+    distance_end_m: float = 0.0
+    speed_rms_mps: float = 0.0
+    gnss_speed_rms_mps: float = 0.0
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    injected: dict[str, int] = field(default_factory=dict)
+    found: dict[str, int] = field(default_factory=dict)
+    unbalanced: list[str] = field(default_factory=list)
+    """Stages whose ledger does not add up."""
+
+
+def summarise(path: Path) -> DemoReport:
+    """Read the record of a demo and reckon."""
+    report = DemoReport()
+    arrivals: dict[str, list[int]] = {}
+    last: dict[str, Any] = {}
+    truth: list[tuple[int, float, float]] = []
+    estimate: list[tuple[int, float, float]] = []
+    gnss: list[tuple[int, float]] = []
+    with open_record(path) as record:
+        report.duration_s = (record.end_ns - record.start_ns) / S
+        report.messages = record.message_count
+        for entry in record.messages():
+            key_path = keys.split(entry.topic)[1]
+            arrivals.setdefault(key_path, []).append(entry.log_ns)
+            key = keys.find(key_path)
+            if key is None:
+                continue
+            if key.path == keys.TRUTH_STATE.path:
+                message: Any = record.decode(entry)
+                truth.append((message.stamp_ns, message.arc_length_m, message.speed_mps))
+            elif key.path == keys.EST_DISTANCE.path:
+                message = record.decode(entry)
+                estimate.append((message.stamp_ns, message.distance_m, message.speed_mps))
+            elif key.path == keys.GNSS_FIX.path:
+                message = record.decode(entry)
+                if message.valid:
+                    gnss.append((message.stamp_ns, message.speed_mps))
+            elif key.type in (NodeHealth, DeviceHealth):
+                last[key_path] = record.decode(entry)
+            elif key.type is Loss:
+                report.lost += record.decode(entry).count
+    report.rates_hz = {
+        name: (len(times) - 1) * S / (times[-1] - times[0])
+        for name, times in sorted(arrivals.items())
+        if times[-1] > times[0]
+    }
+    _errors(report, np.array(truth), np.array(estimate), np.array(gnss))
+    _faults(report, last)
+    return report
+
+
+def _errors(report: DemoReport, truth: Any, estimate: Any, gnss: Any) -> None:
+    """Distance since the first estimate and speed, against the truth at the same stamps."""
+    if len(truth) < 2 or len(estimate) < 2:
+        return
+    inside = (estimate[:, 0] >= truth[0, 0]) & (estimate[:, 0] <= truth[-1, 0])
+    estimate = estimate[inside]
+    arc = np.interp(estimate[:, 0], truth[:, 0], truth[:, 1])
+    speed = np.interp(estimate[:, 0], truth[:, 0], truth[:, 2])
+    error = (estimate[:, 1] - estimate[0, 1]) - (arc - arc[0])
+    report.distance_m = float(arc[-1] - arc[0])
+    report.distance_rms_m = float(np.sqrt(np.mean(error**2)))
+    report.distance_end_m = float(error[-1])
+    report.speed_rms_mps = float(np.sqrt(np.mean((estimate[:, 2] - speed) ** 2)))
+    if len(gnss):
+        gnss_truth = np.interp(gnss[:, 0], truth[:, 0], truth[:, 2])
+        report.gnss_speed_rms_mps = float(np.sqrt(np.mean((gnss[:, 1] - gnss_truth) ** 2)))
+
+
+def _faults(report: DemoReport, last: dict[str, Any]) -> None:
+    """What the simulators did wrong on purpose, what the bridges found, whose books are off."""
+    for path, message in last.items():
+        if isinstance(message, NodeHealth):
+            for stage in message.stages:
+                if stage.stage.endswith(" injected"):
+                    report.injected[f"{stage.stage.split()[0]} {stage.unit}"] = stage.delivered
+                elif stage.received != stage.delivered + stage.dropped + stage.pending:
+                    report.unbalanced.append(f"{path}: {stage.stage} {stage.unit}")
+        else:
+            device = path.split("/")[1]
+            report.found[f"{device} opened again"] = max(0, message.opened - 1)
+            report.found[f"{device} frames rejected"] = message.frames_rejected
+            report.found[f"{device} samples lost"] = message.samples_lost

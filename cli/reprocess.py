@@ -1,0 +1,91 @@
+"""`tramstream reprocess FILE -o OUT`: the processors over a record, without a bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def reprocess(
+    file: Annotated[Path, typer.Argument(help="Record, or a folder with the parts of one.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Record of the outputs.")],
+    config: Annotated[
+        Path | None, typer.Option(help="Use this configuration, not the record's own.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compare with the outputs recorded live.")
+    ] = False,
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Ignore what the live run had read and remembered."),
+    ] = False,
+    late: Annotated[
+        str, typer.Option(help="as-recorded: what was late stays late; accept: use it.")
+    ] = "as-recorded",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Run the processors over a record; --check holds them to what they did live."""
+    import json
+    import time
+
+    from tramstream.cli.session import say
+    from tramstream.errors import CheckFailedError, ConfigError
+    from tramstream.recorder.rerun import rerun
+
+    if late not in ("as-recorded", "accept"):
+        raise ConfigError(f"--late {late}: must be as-recorded or accept")
+    if check and (fresh or late == "accept"):
+        raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
+    if overwrite:
+        out.unlink(missing_ok=True)
+    started_s = time.perf_counter()
+    result = rerun(file, out, config, check, fresh or late == "accept")
+    elapsed_s = time.perf_counter() - started_s
+    comparison = result.comparison
+    figures: dict[str, Any] = {
+        "file": str(file),
+        "out": str(out),
+        "outputs": result.outputs,
+        "sessions": result.sessions,
+        "duration_s": result.duration_s,
+        "elapsed_s": elapsed_s,
+        "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
+        "inputs_missing": result.missing,
+    }
+    if comparison is not None:
+        figures |= {
+            "identical": result.identical,
+            "compared": comparison.compared,
+            "unrecorded": comparison.unrecorded,
+            "unanchored": comparison.unanchored,
+            "difference_count": comparison.difference_count,
+            "differences": comparison.differences,
+        }
+    if json_:
+        print(json.dumps(figures))
+    else:
+        say(
+            f"{file}: {result.duration_s:.1f} s in {elapsed_s:.2f} s "
+            f"({figures['speed']:.0f} times real time), {result.outputs} outputs to {out}"
+        )
+    for path, count in result.missing.items():
+        say(f"{path}: {count} messages that the live processors read are not in the record")
+    if comparison is None:
+        return
+    if not json_:
+        verdict = "identical" if result.identical else "different"
+        print(f"{verdict}: {comparison.compared} outputs compared")
+    if comparison.unrecorded or comparison.unanchored:
+        say(
+            f"{comparison.unrecorded} outputs made again were not in the record; "
+            f"{comparison.unanchored} recorded ones came after the last tick of a session that died"
+        )
+    if not result.identical:
+        for text in comparison.differences:
+            say(text)
+        if comparison.compared == 0:
+            say(f"{file}: the record holds no outputs of processors to compare with")
+        raise CheckFailedError(f"{file}: reprocessing does not give what was recorded live")

@@ -1,0 +1,132 @@
+"""The recorder as a node: everything of one vehicle, as it comes off the bus, into the record."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from tramstream import keys
+from tramstream.bus import Bus, Envelope
+from tramstream.config import Recorder, Vehicle
+from tramstream.keys import Key
+from tramstream.node import Node
+from tramstream.processor import Ledger
+from tramstream.proto.health_pb2 import Loss
+from tramstream.recorder.disk import Recording
+
+NAME = "recorder"
+
+
+class RecorderNode(Node):
+    """Appends every message to the record; flushes, splits and cleans up by timer.
+
+    A key that tramstream does not know is not recorded (nobody could decode it) but named once in
+    `health/recorder/log` and counted as dropped.
+
+    Parameters
+    ----------
+    settings : Recorder
+    metadata : mapping
+        Goes into every part of the record, e.g. the configuration.
+    expression : str
+        What to record, below `tram/<vehicle>/`.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        bus: Bus,
+        stop: threading.Event,
+        settings: Recorder,
+        metadata: Mapping[str, str],
+        expression: str = "**",
+    ) -> None:
+        super().__init__(NAME, vehicle, bus, stop)
+        self.recording = Recording(
+            Path(settings.directory), vehicle, settings, bus.clock, metadata
+        )
+        self._settings = settings
+        self._expression = expression
+        self._keys: dict[str, Key | None] = {}
+        self._ledger = Ledger(NAME, "messages")
+
+    def expressions(self) -> list[str]:
+        return [self._expression]
+
+    def begin(self) -> None:
+        for sentence in self.recording.start():
+            self.log(sentence, Log.INFO)
+        self.every(self._settings.flush_s, self.flush)
+
+    def handle(self, envelope: Envelope) -> None:
+        topic = envelope.topic
+        try:
+            key = self._keys[topic]
+        except KeyError:
+            key = self._keys[topic] = self._find(topic)
+        self._ledger.received += 1
+        if key is None:
+            self._ledger.dropped += 1
+            return
+        self._ledger.delivered += 1
+        self.recording.append(
+            topic,
+            key,
+            envelope.payload,
+            envelope.arrival_ns,
+            envelope.publish_ns,
+            envelope.sequence,
+        )
+
+    def _find(self, topic: str) -> Key | None:
+        path = keys.split(topic)[1]
+        if any(keys.matches(expression, path) for expression in self._settings.exclude):
+            return None
+        key = keys.find(path)
+        if key is None:
+            self.log(f"{topic}: not recorded, for this version of tramstream has no such key")
+        return key
+
+    def flush(self) -> None:
+        self.recording.flush()
+        self._tell()
+
+    def _tell(self) -> None:
+        for sentence in self.recording.take_sentences():
+            self.log(sentence)
+        for loss in self.recording.take_losses():
+            self._ledger.delivered -= loss.count
+            self._ledger.dropped += loss.count
+            self.publish(
+                keys.LOSS.at(NAME),
+                Loss(
+                    consumer=NAME,
+                    key=loss.topic,
+                    count=loss.count,
+                    after_publish_ns=loss.after_publish_ns,
+                    before_publish_ns=loss.before_publish_ns,
+                    cause=Loss.Cause.DISK,
+                ),
+            )
+        self.trouble = self.recording.text
+
+    def finish(self) -> None:
+        self.heartbeat()
+        while len(self.ring):
+            self._turn(0.0)
+        if not self.recording.close():
+            self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
+        self._tell()
+
+    def ledgers(self) -> list[Ledger]:
+        return [self._ledger]
+
+
+def build(vehicle: Vehicle, bus: Bus, stop: threading.Event) -> RecorderNode:
+    """Make the node of a vehicle; the entry point of `tramstream.nodes`."""
+    metadata = {"config": msgspec.json.encode(vehicle).decode()}
+    return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata)

@@ -1,0 +1,130 @@
+"""A whole reprocessing run: record in, record of outputs out, and the comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from tramstream import config as configs
+from tramstream import registry
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.errors import ConfigError, RecordError
+from tramstream.processor import Ordering, Processor
+from tramstream.recorder.compare import Comparison
+from tramstream.recorder.reader import Record, open_record
+from tramstream.recorder.reprocess import Plan, Reprocessor, read_plan
+from tramstream.recorder.writer import RecordFile
+
+CONFIG_ENTRY = "config"
+"""Entry of a record's metadata: the vehicle's configuration as JSON."""
+
+
+@dataclass
+class Rerun:
+    """What came out."""
+
+    outputs: int
+    sessions: int
+    duration_s: float
+    missing: dict[str, int]
+    comparison: Comparison | None
+
+    @property
+    def identical(self) -> bool:
+        c = self.comparison
+        return c is not None and c.compared > 0 and c.difference_count == 0 and not self.missing
+
+
+def config_text(vehicle: Vehicle) -> str:
+    """The configuration as it goes into a record's metadata."""
+    return msgspec.json.encode(vehicle).decode()
+
+
+def vehicle_of(record: Record, path: Path) -> Vehicle:
+    """The configuration that a record was made with.
+
+    Raises
+    ------
+    ConfigError
+        If there is none in it, or this version does not understand it.
+    """
+    text = record.metadata.get(CONFIG_ENTRY)
+    if not text:
+        raise ConfigError(f"{path}: holds no configuration; give one with --config")
+    try:
+        return msgspec.json.decode(text, type=Vehicle)
+    except msgspec.ValidationError as error:
+        raise ConfigError(
+            f"{path}: the configuration in the record does not fit this version ({error}); "
+            "give one with --config"
+        ) from error
+
+
+def rerun(
+    source: Path, out: Path, config: Path | None, check: bool = False, fresh: bool = False
+) -> Rerun:
+    """Reprocess `source` into `out`.
+
+    Parameters
+    ----------
+    config : Path or None
+        Configuration to use instead of the record's own.
+    check : bool
+        Compare with the outputs in the record.
+    fresh : bool
+        Begin with empty memory at the first message and use what came late.
+
+    Raises
+    ------
+    RecordError, ConfigError
+    """
+    with open_record(source) as record:
+        vehicle = configs.load(config) if config is not None else vehicle_of(record, source)
+        plan = Plan() if fresh else read_plan(record)
+        processors = _processors(vehicle, plan)
+        if not any(_has(record, processor) for processor in processors):
+            raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
+        comparison = Comparison() if check else None
+        run = Reprocessor(
+            record, processors, plan, comparison.expect if comparison is not None else None
+        )
+        metadata = {CONFIG_ENTRY: config_text(vehicle), "reprocessed_from": source.name}
+        outputs = 0
+        topics: dict[str, str] = {}
+        with RecordFile(out, record.vehicle or vehicle.vehicle, metadata) as target:
+            for made in run.run():
+                path = made.key.path
+                topic = topics.get(path)
+                if topic is None:
+                    topic = topics[path] = made.key.on(record.vehicle or vehicle.vehicle)
+                target.append(
+                    topic, made.key, made.payload, made.log_ns, made.log_ns, made.sample.sequence
+                )
+                outputs += 1
+                if comparison is not None:
+                    comparison.make(made)
+        if comparison is not None:
+            comparison.close()
+        return Rerun(
+            outputs=outputs,
+            sessions=len(plan.sessions),
+            duration_s=(record.end_ns - record.start_ns) / S,
+            missing=run.missing,
+            comparison=comparison,
+        )
+
+
+def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:
+    processors = registry.make_processors(vehicle)
+    for processor in processors:
+        if isinstance(processor, Ordering) and plan.anchored:
+            processor.late_recorded = plan.late
+    return processors
+
+
+def _has(record: Record, processor: Processor) -> bool:
+    paths = {key.path for key in processor.inputs}
+    return any(topic.split("/", 2)[-1] in paths for topic in record.channels)

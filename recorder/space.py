@@ -1,0 +1,95 @@
+"""Keep space on the disk: below the floor the oldest finished, unprotected record goes first."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from tramstream.recorder.sink import reason
+
+KEEP = ".keep"
+"""A file of this ending beside a record (`<name>.mcap.keep`) protects it."""
+_NAME = re.compile(r"^.+_(\d{8}T\d{6}Z)_(\d{2,})\.mcap$")
+_PATIENCE_NS = 60_000_000_000
+"""Deleted bytes that somebody still reads come back later; until then nothing else is deleted."""
+
+
+class FreeSpace:
+    """The floor under one folder's free space. `check` runs on the disk worker.
+
+    Only files named like a recorder's own are ever deleted. `blocked` is one sentence while the
+    space is below the floor and nothing may be deleted.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        floor_bytes: int,
+        free_bytes: Callable[[Path], int] | None = None,
+    ) -> None:
+        self.directory = directory
+        self.floor_bytes = floor_bytes
+        self.blocked = ""
+        self.sentences: deque[str] = deque()
+        self.latest: Path | None = None
+        """The running session's last finished part: stays, else a stop would eat its own record."""
+        self._free_bytes = free_bytes or _disk_free
+        self._refused: set[Path] = set()
+        self._wait_until_ns = 0
+
+    def check(self, now_ns: int) -> None:
+        """Delete as far as needed and allowed; set `blocked`."""
+        try:
+            free = self._free_bytes(self.directory)
+            while free < self.floor_bytes and now_ns >= self._wait_until_ns:
+                oldest = self._oldest()
+                if oldest is None:
+                    break
+                free = self._delete(oldest, free, now_ns)
+        except OSError as error:
+            self.blocked = f"{self.directory}: {reason(error)}"
+            return
+        waiting = now_ns < self._wait_until_ns
+        self.blocked = "" if free >= self.floor_bytes or waiting else self._too_little(free)
+
+    def _too_little(self, free: int) -> str:
+        return (
+            f"{self.directory}: recording stopped, {free / 1e6:.0f} MB are free, the floor is "
+            f"{self.floor_bytes / 1e6:.0f} MB and no record may be deleted; make space or remove "
+            f"*{KEEP} files"
+        )
+
+    def _oldest(self) -> Path | None:
+        found = []
+        for path in self.directory.glob("*.mcap"):
+            name = _NAME.match(path.name)
+            protected = path.with_name(path.name + KEEP).exists()
+            if name and not protected and path != self.latest and path not in self._refused:
+                found.append((name[1], int(name[2]), path.name, path))
+        return min(found)[3] if found else None
+
+    def _delete(self, path: Path, free: int, now_ns: int) -> int:
+        """Delete `path`; bytes free after it."""
+        try:
+            size = path.stat().st_blocks * 512
+            path.unlink()
+        except FileNotFoundError:
+            return self._free_bytes(self.directory)
+        except OSError as error:
+            self._refused.add(path)
+            self.sentences.append(f"{path.name}: cannot be deleted: {reason(error)}")
+            return free
+        after = self._free_bytes(self.directory)
+        text = f"{path.name}: deleted, {free / 1e6:.0f} MB were free"
+        if after - free < size // 2:
+            self._wait_until_ns = now_ns + _PATIENCE_NS
+            text += "; its space is not free yet, somebody may still read it"
+        self.sentences.append(text)
+        return after
+
+
+def _disk_free(directory: Path) -> int:
+    return shutil.disk_usage(directory).free

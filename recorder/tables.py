@@ -1,0 +1,140 @@
+"""Messages of a record as tables: one CSV file a key.
+
+Columns are the message's fields in their order, with their names (which hold the units); fields of
+parts are joined by dots, elements of lists and maps by their index or key. Bytes are written in hex,
+enumerations by name, a Foxglove timestamp as nanoseconds. A field that is absent is an empty cell.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from tramstream import keys
+from tramstream.errors import RecordError
+from tramstream.recorder.reader import Record
+
+_Order = tuple[tuple[int, str], ...]
+_ARRIVAL = ("log_ns", "publish_ns")
+
+
+def export_csv(
+    record: Record, out: Path, key: str = "", advance: Callable[[int], None] | None = None
+) -> list[Path]:
+    """Write the keys of `record` that `key` includes (all if empty); the files written.
+
+    `out` is a file if its name ends in .csv and one key is meant, else a folder with a file a key.
+    `advance` is told of each message passed; a record is passed twice. A file appears when it is
+    whole.
+
+    Raises
+    ------
+    RecordError
+        If there is no such key, or several are meant for one file.
+    """
+    topics = [topic for topic, info in record.channels.items() if info.count and _meant(key, topic)]
+    if not topics:
+        raise RecordError(f"{record.paths[0]}: has no key {key or 'at all'}; see `tramstream info`")
+    single = out.suffix == ".csv"
+    if single and len(topics) > 1:
+        raise RecordError(f"{out}: one file holds one key, {len(topics)} are meant; add --key")
+    if not single:
+        out.mkdir(parents=True, exist_ok=True)
+    columns = _columns(record, set(topics), advance)
+    written = []
+    for topic in topics:
+        path = out if single else out / f"{_file_name(topic)}.csv"
+        _write(record, topic, columns[topic], path, advance)
+        written.append(path)
+    return written
+
+
+def _meant(expression: str, topic: str) -> bool:
+    path = keys.split(topic)[1]
+    return not expression or keys.matches(expression, topic) or bool(keys.matches(expression, path))
+
+
+def _file_name(topic: str) -> str:
+    return (keys.split(topic)[1] or topic).strip("/").replace("/", "_")
+
+
+def _columns(
+    record: Record, topics: set[str], advance: Callable[[int], None] | None
+) -> dict[str, list[str]]:
+    """Every column that any message of a topic has, in the order of the fields."""
+    found: dict[str, dict[str, _Order]] = {topic: {} for topic in topics}
+    for entry in record.messages(topics.__contains__):
+        known = found[entry.topic]
+        for order, name, _ in flatten(record.decode(entry)):
+            if name not in known:
+                known[name] = order
+        if advance is not None:
+            advance(1)
+    return {topic: sorted(known, key=known.__getitem__) for topic, known in found.items()}
+
+
+def _write(
+    record: Record,
+    topic: str,
+    columns: list[str],
+    path: Path,
+    advance: Callable[[int], None] | None,
+) -> None:
+    unfinished = path.with_name(path.name + ".part")
+    place = {name: index + len(_ARRIVAL) for index, name in enumerate(columns)}
+    with unfinished.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*_ARRIVAL, *columns])
+        for entry in record.messages(topic.__eq__):
+            row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
+            row[0], row[1] = entry.log_ns, entry.publish_ns
+            for _, name, value in flatten(record.decode(entry)):
+                row[place[name]] = value
+            writer.writerow(row)
+            if advance is not None:
+                advance(1)
+    os.replace(unfinished, path)
+
+
+def flatten(
+    message: Any, prefix: str = "", order: _Order = ()
+) -> Iterator[tuple[_Order, str, Any]]:
+    """Cells of a message: where the column stands, its name, its value."""
+    for index, field in enumerate(message.DESCRIPTOR.fields):
+        value = getattr(message, field.name)
+        name, here = prefix + field.name, (*order, (index, ""))
+        if _is_map(field):
+            for key in sorted(value):
+                yield from _cells(value[key], f"{name}.{key}", (*here, (0, str(key))), None)
+        elif field.is_repeated:
+            for number, element in enumerate(value):
+                yield from _cells(element, f"{name}.{number}", (*here, (number, "")), field)
+        elif not field.has_presence or message.HasField(field.name):
+            yield from _cells(value, name, here, field)
+
+
+def _cells(
+    value: Any, name: str, order: _Order, field: FieldDescriptor | None
+) -> Iterator[tuple[_Order, str, Any]]:
+    if isinstance(value, Timestamp):
+        yield order, f"{name}_ns", value.ToNanoseconds()
+    elif hasattr(value, "DESCRIPTOR"):
+        yield from flatten(value, f"{name}.", order)
+    elif isinstance(value, bytes):
+        yield order, name, value.hex()
+    elif field is not None and field.enum_type is not None:
+        known = field.enum_type.values_by_number.get(value)
+        yield order, name, known.name if known is not None else value
+    else:
+        yield order, name, value
+
+
+def _is_map(field: FieldDescriptor) -> bool:
+    kind = field.message_type
+    return kind is not None and kind.GetOptions().map_entry
