@@ -97,6 +97,14 @@ class Database:
                 f"{where}: {path} is not a database that cantools can read ({error})"
             ) from error
 
+    def units(self) -> dict[tuple[str, str], str]:
+        """Unit of every signal, by message and signal name; empty where the DBC gives none."""
+        return {
+            (message.name, signal.name): signal.unit or ""
+            for message in self._messages.values()
+            for signal in message.signals
+        }
+
     def find(self, message_name: str, signal_name: str, where: str) -> tuple[int, Field]:
         """Frame key (`EXTENDED_ID` set for 29 bits) and field of a signal.
 

@@ -30,6 +30,7 @@ from tramstream.bridges import gnss_messages, nmea, ubx
 from tramstream.bridges.framing import NMEA, UBX, Frame, Framer, Rejected
 from tramstream.bridges.gnss_clock import (
     GPS_EPOCH_UNIX_S,
+    MS,
     ArrivalClock,
     GpsTimeline,
     in_range,
@@ -214,20 +215,22 @@ class GnssBridge(Processor):
     def _publish(
         self, fix: GnssFix, clock: ArrivalClock, device_ns: int | None, arrival_ns: int
     ) -> list[Sample]:
-        """Publish a fix, and where it is valid its location, unless a newer one is out."""
+        """Publish a fix, and where it is valid its location."""
         rank = self._rank = _RANKS[fix.source]
         stamp_ns = clock.stamp(device_ns, arrival_ns)
         last = self._last_fix
+        if last is not None and rank > _RANKS[last["source"]]:
+            if fix.utc_ns and fix.utc_ns <= last["utc_ns"] + MS:
+                return []  # the solution it takes over from has told of a newer epoch
+            last = {**last, "device_ns": None}  # its time may have been UTC
         if last is not None and stamp_ns <= last["stamp_ns"] <= arrival_ns:
-            last_rank = _RANKS[last["source"]]
-            if rank > last_rank:
-                return []
             before_ns = last["device_ns"]
             if device_ns is None or before_ns is None or device_ns >= before_ns:
                 stamp_ns = last["stamp_ns"] + 1
         self._last_fix = {
             "source": fix.source,
             "itow_ms": fix.itow_ms,
+            "utc_ns": fix.utc_ns,
             "device_ns": device_ns,
             "stamp_ns": stamp_ns,
         }

@@ -21,7 +21,8 @@ from tramstream.clock import ClockFit, S
 GPS_EPOCH_UNIX_S = 315_964_800
 """1980-01-06T00:00:00 in Unix time."""
 WEEK_NS = 604_800 * S
-_MS = 1_000_000
+MS = 1_000_000
+"""Nanoseconds in a millisecond."""
 _DAY_S = 86_400
 _FIRST_YEAR, _LAST_YEAR = 1980, 2150
 _LAST_WEEK = 8871
@@ -75,7 +76,7 @@ class GpsTimeline:
             if name == "NAV-TIMELS" and fields["valid"] & 1:
                 self.leap_seconds = fields["currLs"]
             itow_ms = fields.get("iTOW")
-            return None if itow_ms is None else self.near(itow_ms * _MS)
+            return None if itow_ms is None else self.near(itow_ms * MS)
         if gps_ns is not None:
             self.reference_ns = gps_ns
         return gps_ns
@@ -88,7 +89,7 @@ class GpsTimeline:
 
     def _of_solution(self, fields: dict[str, Any]) -> int | None:
         """Week from the UTC date, fraction of a millisecond from nano."""
-        itow_ns = fields["iTOW"] * _MS
+        itow_ns = fields["iTOW"] * MS
         utc = solution_utc_ns(fields)
         if itow_ns >= WEEK_NS:
             return None
@@ -97,14 +98,14 @@ class GpsTimeline:
         about_ns = utc - GPS_EPOCH_UNIX_S * S  # wrong by the leap seconds, which cannot matter
         gps_ns = _nearest(itow_ns, about_ns)
         fraction_ns = (fields["nano"] - gps_ns + S // 2) % S - S // 2
-        return gps_ns + fraction_ns if abs(fraction_ns) <= _MS else gps_ns
+        return gps_ns + fraction_ns if abs(fraction_ns) <= MS else gps_ns
 
     def _of_timegps(self, fields: dict[str, Any]) -> int | None:
         valid, week = fields["valid"], fields["week"]
         if valid & 4:
             self.leap_seconds = fields["leapS"]
-        tow_ns = fields["iTOW"] * _MS + (fields["fTOW"] if abs(fields["fTOW"]) <= _MS else 0)
-        if not valid & 1 or fields["iTOW"] * _MS >= WEEK_NS:
+        tow_ns = fields["iTOW"] * MS + (fields["fTOW"] if abs(fields["fTOW"]) <= MS else 0)
+        if not valid & 1 or fields["iTOW"] * MS >= WEEK_NS:
             return None
         if not valid & 2 or not 0 < week <= _LAST_WEEK:
             return self.near(tow_ns)
@@ -166,7 +167,7 @@ class ArrivalClock:
     def add(self, device_ns: int, arrival_ns: int, size: int) -> None:
         """Take note that a message of `size` bytes of epoch `device_ns` arrived."""
         newest_ns = self._newest_ns
-        if newest_ns is not None and newest_ns - self.REORDERED_NS < device_ns <= newest_ns + _MS:
+        if newest_ns is not None and newest_ns - self.REORDERED_NS < device_ns <= newest_ns + MS:
             return  # not the first of its epoch; 1 ms: a fraction may follow a whole millisecond
         self._newest_ns = device_ns
         self.fit.add(device_ns, arrival_ns - self._delay_ns - round(size * self._byte_ns))

@@ -1,7 +1,7 @@
 """Layouts of UBX messages as tables that mirror the manuals.
 
-Sources: u-blox F9 HPS 1.30 and HPG 1.32 Interface Descriptions (UBX-22010984, UBX-22008968), and for
-the HNR class u-blox 8/M8 Receiver Description (UBX-13003221), each in its chapter on the UBX
+Sources: u-blox F9 HPS 1.30 and HPG 1.32 Interface Descriptions (UBX-22010984, UBX-22008968), and
+for the HNR class u-blox 8/M8 Receiver Description (UBX-13003221), each in its chapter on the UBX
 protocol; each table stands under the name the manual gives the message. Little-endian.
 
 A field is (name, type, scale, unit). Types: U unsigned, I signed, X bits, R float, C text, with the

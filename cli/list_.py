@@ -67,14 +67,17 @@ def list_(
 
 def _on_bus(source: LiveSource, stop: Any, listen_s: float) -> list[dict[str, Any]]:
     """What came within `listen_s` or until `stop`."""
+    import time
+
     from tramstream.cli.stats import Stats
 
     stats = Stats(listen_s)
-    for envelope in source.first():
-        stats.add(envelope)
-    stop.wait(listen_s)
-    for envelope in source.drain():
-        stats.add(envelope)
+    end_s = time.monotonic() + listen_s
+    for envelope in source.messages(stop):
+        if envelope is not None:
+            stats.add(envelope)
+        if time.monotonic() >= end_s:
+            break
     now_ns = source.now_ns()
     return [
         {

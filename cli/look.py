@@ -126,13 +126,6 @@ class LiveSource(Source):
         while not stop.is_set():
             yield self.ring.get(WAIT_S)
 
-    def drain(self) -> Iterator[Envelope]:
-        """What waits now."""
-        for _ in range(len(self.ring)):
-            envelope = self.ring.get(0.0)
-            if envelope is not None:
-                yield envelope
-
     def decode(self, envelope: Envelope) -> Message | None:
         return decode(envelope)
 

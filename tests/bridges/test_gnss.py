@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections import Counter
 from datetime import UTC, datetime, timedelta
@@ -181,7 +182,7 @@ def test_high_rate_solution_is_a_fix_only_until_navigation_is_seen() -> None:
     fixes = on(out, keys.GNSS_FIX)
     assert [f.message.source for f in fixes] == ["HNR-PVT"] * 3 + ["NAV-PVT"]
     assert [f.message.name for f in on(out, keys.GNSS_FRAME)] == ["HNR-PVT"]
-    assert all(a.stamp_ns < b.stamp_ns for a, b in zip(fixes, fixes[1:], strict=False))
+    assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
 
 
 def test_receiver_that_talks_both_is_published_once() -> None:
@@ -411,7 +412,7 @@ def test_receiver_whose_time_jumps_recovers(jump_s: float) -> None:
     if abs(jump_s) > 1:
         assert max(errors_ns[60:]) < 5 * MS
     if jump_s > 0:
-        assert all(a.stamp_ns < b.stamp_ns for a, b in zip(fixes, fixes[1:], strict=False))
+        assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
 
 
 def test_stall_of_the_host_does_not_move_stamps() -> None:
@@ -537,7 +538,7 @@ def test_captures_cut_anywhere_give_the_same_messages(data_dir: Path, name: str)
     assert content(out) == whole
     assert all(ledger.balanced for ledger in bridge.ledgers())
     stamps = [sample.stamp_ns for sample in on(out, keys.GNSS_FIX)]
-    assert all(a < b for a, b in zip(stamps, stamps[1:], strict=False))
+    assert all(a < b for a, b in itertools.pairwise(stamps))
 
 
 def gpsd_positions(path: Path) -> dict[int, list[dict[str, float]]]:
@@ -605,7 +606,7 @@ def test_pseudoranges_are_those_that_gpsd_reports(data_dir: Path) -> None:
             )  # fmt: skip
 
 
-# epoch times for import ----------------------------------------------------------------------------
+# epoch times for import ------------------------------------------------------------------------
 
 
 def test_epoch_times_know_the_week_before_it_is_told() -> None:

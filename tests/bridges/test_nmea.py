@@ -128,8 +128,8 @@ def test_date_is_kept_and_rolls_over_midnight() -> None:
     "sentence",
     [
         "GNGGA", "GNGGA,", "GNGGA,,,,,,,,,,,,,,", "GNGGA,000941.00,x,N,y,W,z", "GNRMC,256161.00,A",
-        "GNGGA,000960.00,4404.13387,N,12118.85628,W,1,12,1.01,1144.8,M,-21.4,M,,", "XXGGA,000941.00",
-        "GGA", "GNGST,a,b,c,d,e,f,g,h",
+        "GNGGA,000960.00,4404.13387,N,12118.85628,W,1,12,1.01,1144.8,M,-21.4,M,,",
+        "XXGGA,000941.00", "GGA", "GNGST,a,b,c,d,e,f,g,h",
     ],
 )  # fmt: skip
 def test_malformed_sentence_is_rejected_and_never_raises(sentence: str) -> None:

@@ -151,5 +151,4 @@ def test_captures_decode_as_pyubx2_does_and_encode_back(data_dir: Path) -> None:
             if compared.get(item.name, 0) < 60:  # pyubx2 needs 3 ms for a RAWX
                 compare(item.raw)
                 compared[item.name] = compared.get(item.name, 0) + 1
-    assert {"NAV-PVT", "NAV-PVAT", "NAV-SAT", "NAV-SIG", "RXM-RAWX", "HNR-PVT", "ESF-MEAS",
-            "ESF-STATUS", "ESF-INS", "ESF-ALG", "TIM-TP", "NAV-TIMELS"} <= set(compared)  # fmt: skip
+    assert len(compared) >= 18  # of the types with a table, those that the captures hold

@@ -74,8 +74,8 @@ def test_mcap_library_agrees_and_every_checksum_holds(tmp_path):
 
 def test_message_indexes_lead_to_their_messages(tmp_path):
     path = write(tmp_path / "a.mcap", traffic(200), 60)
-    with path.open("rb") as file:
-        for topic in (keys.GNSS_FIX.on(VEHICLE), keys.IMU_BYTES.on(VEHICLE)):
+    for topic in (keys.GNSS_FIX.on(VEHICLE), keys.IMU_BYTES.on(VEHICLE)):
+        with path.open("rb") as file:
             found = [m.sequence for _, _, m in make_reader(file).iter_messages(topics=[topic])]
             assert found == [one.sequence for one in traffic(200) if one.topic == topic]
 

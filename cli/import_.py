@@ -1,0 +1,76 @@
+"""`tramstream import`: captured device bytes into a record, through the bridges' own decoders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def import_(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Record to write.")],
+    ubx: Annotated[
+        Path | None, typer.Option(help="Receiver capture: UBX, NMEA and RTCM mixed.")
+    ] = None,
+    nmea: Annotated[Path | None, typer.Option(help="NMEA log (the same decoder).")] = None,
+    adis: Annotated[
+        Path | None, typer.Option(help="IMU capture in the framing of docs/imu-framing.md.")
+    ] = None,
+    can: Annotated[Path | None, typer.Option(help="CAN log as `candump -L` writes it.")] = None,
+    dbc: Annotated[Path | None, typer.Option(help="DBC that names the CAN log's signals.")] = None,
+    wheel: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=MESSAGE.SIGNAL of a wheel, repeated; default: all wheel speeds of the DBC."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Vehicle configuration for delays, scales and signals.")
+    ] = None,
+    vehicle: Annotated[str, typer.Option(help="Vehicle identifier of the record.")] = "",
+    model: Annotated[str, typer.Option(help="IMU model of --adis.")] = "ADIS16465-1",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Import captures; several sources of one ride go into one record.
+
+    Captures of receivers and IMUs hold no arrival times: each read is given the time that its
+    frames tell. A receiver's is GPS time as Unix time, not corrected for leap seconds.
+    """
+    import json
+
+    from tramstream.cli.import_sources import Imports
+    from tramstream.cli.session import say
+    from tramstream.errors import ConfigError
+
+    if ubx is not None and nmea is not None:
+        raise ConfigError("--ubx and --nmea are one receiver each; import them one by one")
+    if can is not None and dbc is None and config is None:
+        raise ConfigError("--can needs --dbc (or --config with an [odometer] section)")
+    if all(source is None for source in (ubx, nmea, adis, can)):
+        raise ConfigError("nothing to import; give --ubx, --nmea, --adis or --can")
+    if overwrite:
+        out.unlink(missing_ok=True)
+    imports = Imports(config, vehicle, model)
+    receiver = ubx or nmea
+    if receiver is not None:
+        imports.gnss(receiver)
+    if adis is not None:
+        imports.imu(adis)
+    if can is not None:
+        chosen = imports.can(can, dbc, wheel or [])
+        say(f"{can}: wheels {chosen}")
+    result: dict[str, Any] = imports.write(out)
+    if json_:
+        print(json.dumps(result))
+        return
+    for key, count in result["messages"].items():
+        say(f"{key:28} {count:8d}")
+    for device, counters in result["devices"].items():
+        reasons = ", ".join(f"{n} {reason}" for reason, n in counters["rejected_by_reason"].items())
+        say(
+            f"{device}: {counters['messages_decoded']} decoded, {counters['frames_rejected']} "
+            f"rejected ({counters['bytes_rejected']} bytes){': ' + reasons if reasons else ''}"
+        )
+    print(f"{out}: {sum(result['messages'].values())} messages")
