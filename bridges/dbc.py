@@ -33,7 +33,9 @@ class Field:
         self.scale: float = signal.scale
         self.offset: float = signal.offset
         self._plain = self.scale == 1 and self.offset == 0
-        self._order: Literal["big", "little"] = "big" if signal.byte_order == "big_endian" else "little"
+        self._order: Literal["big", "little"] = (
+            "big" if signal.byte_order == "big_endian" else "little"
+        )
         self._mask = (1 << self.length) - 1
         self._sign = 1 << (self.length - 1) if signal.is_signed and not signal.is_float else 0
         self._float = FLOATS[self.length] if signal.is_float else ""
@@ -42,7 +44,9 @@ class Field:
             self._start = 8 * (self._start // 8) + 7 - self._start % 8
         self._end = self._start + self.length
         self._selectors = selectors
-        self.bytes_needed: int = max([(self._end + 7) // 8, *(f.bytes_needed for f, _ in selectors)])
+        self.bytes_needed: int = max(
+            [(self._end + 7) // 8, *(f.bytes_needed for f, _ in selectors)]
+        )
 
     def raw(self, data: bytes) -> float | None:
         """Value before scaling; None where a multiplexer says that the signal is not in the frame.

@@ -220,7 +220,8 @@ class GnssBridge(Processor):
         stamp_ns = clock.stamp(device_ns, arrival_ns)
         last = self._last_fix
         if last is not None and rank > _RANKS[last["source"]]:
-            if fix.utc_ns and fix.utc_ns <= last["utc_ns"] + MS:
+            behind_ns = last["utc_ns"] - fix.utc_ns
+            if fix.utc_ns and -MS <= behind_ns < ArrivalClock.REORDERED_NS:
                 return []  # the solution it takes over from has told of a newer epoch
             last = {**last, "device_ns": None}  # its time may have been UTC
         if last is not None and stamp_ns <= last["stamp_ns"] <= arrival_ns:

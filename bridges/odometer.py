@@ -14,10 +14,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from tramstream import keys
 from tramstream.bridges.canframe import ERROR, EXTENDED, HOST_OVERFLOW, REMOTE, classify_error
 from tramstream.bridges.dbc import EXTENDED_ID, Database, Field
-
-from tramstream import keys
 from tramstream.config import Odometer, Signal, Vehicle
 from tramstream.config import Wheel as WheelConfig
 from tramstream.errors import ConfigError

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import serial
+
+from tramstream import keys
 from tramstream.bridges import socketcan
 from tramstream.bridges.canframe import (
     ERROR,
@@ -29,8 +31,6 @@ from tramstream.bridges.canframe import (
     host_overflow,
     pack,
 )
-
-from tramstream import keys
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Odometer, Vehicle
 from tramstream.errors import ConfigError, DeviceError

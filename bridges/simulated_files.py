@@ -136,7 +136,8 @@ def can_file_stream(path: Path, start_ns: int, loop: bool = False) -> Iterator[C
         any_frame = False
         end_ns = base_ns
         for chunk in _can_clumps(path, base_ns):
-            any_frame, end_ns = True, chunk.due_ns
+            any_frame = any_frame or chunk.counts["frames"] > 0
+            end_ns = chunk.due_ns
             yield chunk
         base_ns = end_ns + CLUMP_NS
         if not loop:

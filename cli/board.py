@@ -10,17 +10,19 @@ from dataclasses import asdict, dataclass
 from enum import IntEnum
 from typing import Any
 
-from tramstream.clock import S
 from tramstream.cli.digest import digest
 from tramstream.cli.look import decode
 from tramstream.cli.stats import KeyStats, Stats
+from tramstream.clock import S
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 
 SILENT_S = 3.0
 """Three heartbeats."""
-SLOW = 0.8
+SLOW = 0.7
 """A key below this share of its nominal rate is marked."""
 MISSED_PERIODS = 5
+SHORT_S = 0.3
+"""A share over less is chance: the last heartbeat follows the one before at once."""
 
 
 class Level(IntEnum):
@@ -181,7 +183,7 @@ def _cpu_percent(before: Any, message: NodeHealth) -> float | None:
     if not isinstance(before, NodeHealth) or before.pid != message.pid:
         return None
     dt_s = message.uptime_s - before.uptime_s
-    return 100.0 * (message.cpu_s - before.cpu_s) / dt_s if dt_s > 0 else None
+    return 100.0 * (message.cpu_s - before.cpu_s) / dt_s if dt_s > SHORT_S else None
 
 
 def _device_row(found: KeyStats, message: DeviceHealth, now_ns: int) -> DeviceRow:

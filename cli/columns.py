@@ -21,7 +21,9 @@ def aligned(rows: Sequence[Sequence[str]], left: frozenset[int], width: int = 0)
             cell.ljust(size) if column in left else cell.rjust(size)
             for column, (cell, size) in enumerate(zip(row, widths, strict=True))
         ]
-        lines.append(clipped(GAP.join(cells).rstrip(), width) if width else GAP.join(cells).rstrip())
+        lines.append(
+            clipped(GAP.join(cells).rstrip(), width) if width else GAP.join(cells).rstrip()
+        )
     return lines
 
 

@@ -44,15 +44,14 @@ def _place(message: Any) -> str:
 
 def _fix(message: Any) -> str:
     kind = _FIX.get(type(message).FixType.Name(message.fix_type), "?")
+    carrier = f" {type(message).Carrier.Name(message.carrier).lower()}" if message.carrier else ""
     parts = [
-        _place(message),
         f"{message.speed_mps:.2f} m/s",
-        kind if message.valid else f"{kind}, not valid",
+        f"{kind}{carrier}" + ("" if message.valid else ", not valid"),
         f"{message.satellites_used} sat",
         f"±{message.horizontal_std_m:.1f} m",
+        _place(message),
     ]
-    if message.carrier:
-        parts.insert(3, f"carrier {type(message).Carrier.Name(message.carrier).lower()}")
     return "  ".join(parts)
 
 
@@ -65,7 +64,9 @@ def _covariance(message: Any) -> str:
     if len(terms) != 6 or not message.position_valid:
         return "not valid"
     stds = (math.sqrt(max(0.0, terms[place])) for place in (0, 3, 5))
-    return "σ " + "  ".join(f"{axis} {std:.2f}" for axis, std in zip("NED", stds, strict=True)) + " m"
+    return (
+        "σ " + "  ".join(f"{axis} {std:.2f}" for axis, std in zip("NED", stds, strict=True)) + " m"
+    )
 
 
 def _gnss_time(message: Any) -> str:
@@ -90,7 +91,8 @@ def _attitude(message: Any) -> str:
 
 
 def _raw_bytes(message: Any) -> str:
-    return f"{len(message.data)} bytes in {len(message.read_length) or 1} reads"
+    reads = len(message.read_length) or 1
+    return f"{len(message.data)} bytes in {reads} {'reads' if reads > 1 else 'read'}"
 
 
 def _can_frames(message: Any) -> str:
@@ -176,7 +178,7 @@ def _distance(message: Any) -> str:
     refused = sum(not innovation.accepted for innovation in message.innovations)
     gate = f"  {refused} refused" if refused else ""
     return (
-        f"{message.distance_m:.2f} m ±{message.distance_std_m:.2f}  "
+        f"{message.distance_m:.3f} m ±{message.distance_std_m:.3f}  "
         f"{message.speed_mps:.3f} m/s ±{message.speed_std_mps:.3f}{gate}"
     )
 
@@ -188,10 +190,10 @@ def _node(message: Any) -> str:
 
 def _device(message: Any) -> str:
     state = type(message).State.Name(message.state)
-    rejected = f"  {message.frames_rejected} rejected" if message.frames_rejected else ""
-    return f"{state}  {scaled(message.bytes_received, 'B')}  {message.messages_decoded} decoded{rejected}" + (
-        f"  {message.text}" if message.text else ""
-    )
+    parts = [state, scaled(message.bytes_received, "B"), f"{message.messages_decoded} decoded"]
+    parts += [f"{message.frames_rejected} rejected"] if message.frames_rejected else []
+    parts += [message.text] if message.text else []
+    return "  ".join(parts)
 
 
 def _loss(message: Any) -> str:
@@ -242,7 +244,9 @@ _DIGESTS: dict[str, Callable[[Any], str]] = {
     "GnssAttitude": _attitude,
     "GnssCovariance": _covariance,
     "GnssFix": _fix,
-    "GnssPosition": lambda m: f"{_place(m)}  {m.height_ellipsoid_m:.2f} m  ±{m.horizontal_std_m:.1f} m",
+    "GnssPosition": lambda m: (
+        f"{_place(m)}  {m.height_ellipsoid_m:.2f} m  ±{m.horizontal_std_m:.1f} m"
+    ),
     "GnssSatellites": _satellites,
     "GnssTime": _gnss_time,
     "ImuBatch": _imu_batch,

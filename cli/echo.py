@@ -54,7 +54,9 @@ def echo(
                 print(_as_json(source, envelope), flush=source.live)
             else:
                 if missing:
-                    print(f"# {missing} messages of {source.shown(envelope.topic)} are missing here")
+                    print(
+                        f"# {missing} messages of {source.shown(envelope.topic)} are missing here"
+                    )
                 print(_as_text(source, envelope, full), flush=source.live)
             printed += 1
             if printed == count:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import typer
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
@@ -99,8 +97,8 @@ def running(
     ------
     BusError
         If another router is there already.
-    typer.Exit
-        With a node's own exit status if it refuses its configuration.
+    NodeError
+        With a node's own exit status if it ends at its start.
     """
     clock = VehicleClock.shared(vehicle.runtime_dir, rate)
     bus = ZenohBus.route(vehicle.runtime_dir, clock)
@@ -111,10 +109,7 @@ def running(
     voice = _Voice(bus, vehicle.vehicle, say)
     thread.start()
     try:
-        try:
-            supervisor.start()
-        except subprocess.CalledProcessError as error:
-            raise typer.Exit(error.returncode if error.returncode > 0 else 1) from error
+        supervisor.start()
         yield Fleet(bus, supervisor, vehicle, voice)
     finally:
         supervisor.stop()

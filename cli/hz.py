@@ -22,7 +22,7 @@ def hz(
     file: FileOption = None,
     count: Annotated[
         int,
-        typer.Option("--count", help="Reports to print, of a file messages to read; 0: all.", min=0),
+        typer.Option("--count", help="Reports; of a file messages to read; 0: all.", min=0),
     ] = 0,
     format_: FormatOption = Format.text,
     json_: JsonOption = False,

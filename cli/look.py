@@ -56,7 +56,11 @@ def read_key(text: str, vehicle: str = "") -> Wanted:
         If it cannot be a key, or the two name different vehicles.
     """
     parts = text.strip("/").split("/")
-    if not all(parts) or _FORBIDDEN & set(text) or any("*" in p and p not in ("*", ANY) for p in parts):
+    if (
+        not all(parts)
+        or _FORBIDDEN & set(text)
+        or any("*" in p and p not in ("*", ANY) for p in parts)
+    ):
         raise ConfigError(
             f"{text!r} is no key; write a path (raw/gnss/fix), an expression (raw/gnss/*, raw/**) "
             "or a full key (tram/<vehicle>/raw/gnss/fix)"
@@ -160,11 +164,14 @@ class FileSource(Source):
         vehicle, path = keys.split(topic)
         if not path:
             return keys.matches(self.wanted.pattern, topic.strip("/"))
-        return keys.matches(self.wanted.vehicle, vehicle) and keys.matches(self.wanted.pattern, path)
+        return keys.matches(self.wanted.vehicle, vehicle) and keys.matches(
+            self.wanted.pattern, path
+        )
 
     def messages(self, stop: threading.Event) -> Iterator[Envelope | None]:
         encodings = {
-            info.topic: f"application/protobuf;{info.schema}" for info in self.record.channels.values()
+            info.topic: f"application/protobuf;{info.schema}"
+            for info in self.record.channels.values()
         }
         wanted = {info.topic for info in self.channels}
         starts: dict[str, tuple[int, int, int]] = {}
@@ -231,10 +238,12 @@ def look(key: str, file: Path | None, vehicle: str = "") -> Iterator[Source]:
 
 
 def decode(envelope: Envelope) -> Any | None:
-    """The message in `envelope` by its key, else by its encoding; None if it is not of that type."""
+    """The message in `envelope`; None if it is not what key and encoding promise."""
     name = envelope.encoding.rpartition(";")[2]
     key = keys.find(keys.split(envelope.topic)[1])
-    type_ = key.type if key is not None and key.encoding == envelope.encoding else _types().get(name)
+    type_ = (
+        key.type if key is not None and key.encoding == envelope.encoding else _types().get(name)
+    )
     if type_ is None:
         return None
     try:
@@ -265,7 +274,9 @@ def _meet(pattern: list[str], parts: list[str]) -> bool:
         return any(_meet(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
     if not parts:
         return False
-    return (pattern[0] == parts[0] or "*" in (pattern[0], parts[0])) and _meet(pattern[1:], parts[1:])
+    return (pattern[0] == parts[0] or "*" in (pattern[0], parts[0])) and _meet(
+        pattern[1:], parts[1:]
+    )
 
 
 def nothing_at(pattern: str, known: list[str]) -> str:

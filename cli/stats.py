@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 from tramstream import keys
 from tramstream.bus import Envelope
@@ -119,17 +120,20 @@ class KeyStats:
 
     def rate_hz(self, now_ns: int) -> float | None:
         """Rate now; silence of more than a period lowers it."""
-        return _rate_hz([arrival_ns for arrival_ns, _ in self._fresh(now_ns)], now_ns)
+        fresh = self._fresh(now_ns)
+        if not fresh:
+            return 0.0 if self.count else None
+        return _rate_hz([arrival_ns for arrival_ns, _ in fresh], now_ns)
 
     def recent(self, now_ns: int) -> Figures:
         """Figures of the window that ends now."""
         fresh = self._fresh(now_ns)
         if not fresh:
-            return Figures(rate_hz=0.0 if self.count else None)
+            return Figures(rate_hz=self.rate_hz(now_ns))
         arrivals = [arrival_ns for arrival_ns, _ in fresh]
         sizes = [size for _, size in fresh]
         rate_hz = _rate_hz(arrivals, now_ns)
-        periods = [after - before for before, after in zip(arrivals, arrivals[1:], strict=False)]
+        periods = [after - before for before, after in pairwise(arrivals)]
         mean_ns = sum(periods) / len(periods) if periods else 0.0
         mean_bytes = sum(sizes) / len(sizes)
         variance_ns2 = sum((period - mean_ns) ** 2 for period in periods) / max(1, len(periods))

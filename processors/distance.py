@@ -2,11 +2,18 @@
 
 Pulses are measured as accumulated distance, so that quantisation never adds up; wheels that give a
 speed, and the receiver's speed over ground, as speed. Each step predicts over the true interval
-between the stamps. A measurement outside the gate is reported and not used; when the wheels' count
-jumps (a restarted bridge, a reset controller) the distance goes on from the estimate.
+between the stamps. A measurement outside the gate is reported and not used.
+
+The wheels' path is *tied* to the estimate with its first reading, and anew when it jumps (a
+restarted bridge, a reset controller), when other wheels make it up, and after many refusals. What
+the estimate was wrong by at a tie stays in the distance for good: its variance is *settled*, kept
+beside the filter, whose P speaks of the path since the tie.
 """
 
 from __future__ import annotations
+
+from math import sqrt
+from operator import attrgetter
 
 import numpy as np
 
@@ -17,12 +24,14 @@ from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors import kalman1d
 from tramstream.proto.estimate_pb2 import DistanceState, Innovation
 from tramstream.proto.gnss_pb2 import GnssFix
-from tramstream.proto.raw_pb2 import Odometry
+from tramstream.proto.raw_pb2 import Odometry, WheelReading
 
 START_SPEED_STD_MPS = 20.0
 """Nothing is known at first: a tram does at most 80 km/h."""
 MAX_SPEED_MPS = 30.0
 """Wheels that claim more have been reset."""
+MIN_JUMP_S = 0.1
+"""Readings that come closer together (stamps jitter) are not reset for it."""
 GNSS_SPEED_FLOOR_MPS = 0.1
 """The receiver's own accuracy leaves out what is correlated in time."""
 QUANTISATION = 1.0 / 3.0
@@ -31,7 +40,8 @@ section 2)."""
 MAX_STEP_S = 60.0
 """After a longer pause the speed is unknown again."""
 MAX_REFUSALS = 50
-"""So many refused wheel readings in a row (one second) mean that the estimate is wrong."""
+"""So many refused wheel readings in a row (one second) mean that the estimate is wrong, or that a
+slip has taken the wheels' path away from it for good."""
 
 
 class DistanceFilter(Processor):
@@ -51,16 +61,20 @@ class DistanceFilter(Processor):
         self._gate = config.gate_sigma
         self._stamp_ns = 0
         self._refusals = 0
-        self._offset_m: float | None = None  # distance − wheels' path
+        self._wheels: list[str] = []  # whose pulses make up the path
+        self._offset_m: float | None = None  # distance − wheels' path; None while not tied
         self._path_m = 0.0  # wheels' path at the last reading
         self._path_ns = 0
+        self._settled_m2 = 0.0
         self._ledger = Ledger("distance", "measurements")
         self._kalman = kalman1d.distance_filter(np.zeros(2), np.zeros((2, 2)))
         self._restart_speed()
 
     def step(self, sample: Sample) -> list[Sample]:
         frame = sample.message
-        measurements = sorted((*frame.gnss, *frame.odometry), key=lambda m: m.stamp_ns)
+        measurements = [*frame.gnss, *frame.odometry]
+        if len(measurements) > 1:
+            measurements.sort(key=attrgetter("stamp_ns"))
         innovations: list[Innovation] = []
         for measurement in measurements:
             self._ledger.received += 1
@@ -82,51 +96,62 @@ class DistanceFilter(Processor):
             self._stamp_ns = stamp_ns
         elif dt_s > MAX_STEP_S:
             self._stamp_ns = stamp_ns
-            self._restart_speed()
+            self._restart_speed(travelled_std_m=START_SPEED_STD_MPS * dt_s)
         elif dt_s > 0:
             noise = kalman1d.acceleration_noise(dt_s, self._acceleration_std)
             self._kalman.predict(F=kalman1d.transition(dt_s), Q=noise)
             self._stamp_ns = stamp_ns
 
-    def _restart_speed(self) -> None:
+    def _restart_speed(self, travelled_std_m: float = 0.0) -> None:
         """Keep the distance, forget the speed and what the wheels' path was tied to."""
-        distance_m = float(self._kalman.x[0, 0])
-        variance = float(self._kalman.P[0, 0])
-        self._kalman.x = np.array([[distance_m], [0.0]])
+        variance = float(self._kalman.P[0, 0]) + travelled_std_m**2
+        self._kalman.x = np.array([[float(self._kalman.x[0, 0])], [0.0]])
         self._kalman.P = np.diag([variance, START_SPEED_STD_MPS**2])
         self._offset_m = None
         self._refusals = 0
 
     def _take_wheels(self, odometry: Odometry) -> list[Innovation]:
-        pulses = [wheel.pulses for wheel in odometry.wheels if wheel.HasField("pulses")]
+        counting = [wheel for wheel in odometry.wheels if wheel.HasField("pulses")]
         speeds = [wheel.speed_mps for wheel in odometry.wheels if wheel.HasField("speed_mps")]
-        found = []
+        if not counting and not speeds:
+            return []
         self._predict(odometry.stamp_ns)
-        if pulses:
-            path_m = sum(pulses) / len(pulses) * self._m_per_pulse
-            if self._jumped(path_m, odometry.stamp_ns):
-                self._offset_m = None
-            if self._offset_m is None:
-                self._offset_m = float(self._kalman.x[0, 0]) - path_m
-            self._path_m, self._path_ns = path_m, odometry.stamp_ns
-            variance = self._m_per_pulse**2 * QUANTISATION / len(pulses)
-            found.append(
-                self._update("wheel_path", path_m + self._offset_m, kalman1d.POSITION, variance)
-            )
+        found = []
+        if counting:
+            found.append(self._take_path(counting, odometry.stamp_ns))
         if speeds:
             speed_mps = sum(speeds) / len(speeds)
             variance = self._wheel_variance / len(speeds)
             found.append(self._update("wheel_speed", speed_mps, kalman1d.SPEED, variance))
-        if found:
-            accepted = any(innovation.accepted for innovation in found)
-            self._refusals = 0 if accepted else self._refusals + 1
-            if self._refusals >= MAX_REFUSALS:
-                self._restart_speed()
+        # The path speaks for the wheels: after a slip their speed is right again, the path is not.
+        self._refusals = 0 if found[0].accepted else self._refusals + 1
+        if self._refusals >= MAX_REFUSALS:
+            self._restart_speed()
         return found
+
+    def _take_path(self, counting: list[WheelReading], stamp_ns: int) -> Innovation:
+        count = len(counting)
+        path_m = sum([wheel.pulses for wheel in counting]) / count * self._m_per_pulse
+        variance = self._m_per_pulse**2 * QUANTISATION / count
+        wheels = [wheel.wheel for wheel in counting]
+        if wheels != self._wheels or self._jumped(path_m, stamp_ns):
+            self._offset_m = None
+        self._wheels, self._path_m, self._path_ns = wheels, path_m, stamp_ns
+        if self._offset_m is None:
+            return self._tie(path_m, variance)
+        return self._update("wheel_path", path_m + self._offset_m, kalman1d.POSITION, variance)
+
+    def _tie(self, path_m: float, variance: float) -> Innovation:
+        """Count the wheels' path from the estimate on."""
+        P = self._kalman.P
+        self._settled_m2 += float(P[0, 0]) + variance
+        self._kalman.P = np.diag([variance, float(P[1, 1])])
+        self._offset_m = float(self._kalman.x[0, 0]) - path_m
+        return Innovation(measurement="wheel_path", value=0.0, variance=variance, accepted=True)
 
     def _jumped(self, path_m: float, stamp_ns: int) -> bool:
         dt_s = (stamp_ns - self._path_ns) / S
-        return abs(path_m - self._path_m) > MAX_SPEED_MPS * max(dt_s, 0.1)
+        return abs(path_m - self._path_m) > MAX_SPEED_MPS * max(dt_s, MIN_JUMP_S)
 
     def _take_fix(self, fix: GnssFix) -> list[Innovation]:
         if not fix.valid:
@@ -138,7 +163,8 @@ class DistanceFilter(Processor):
         return [self._update("gnss_speed", speed_mps, kalman1d.SPEED, std_mps**2)]
 
     def _update(self, name: str, z: float, H: kalman1d.Array, R: float) -> Innovation:
-        verdict = kalman1d.update(self._kalman, z, H, R, self._gate)
+        verdict = self._kalman.update(z, R, H, self._gate)
+        assert verdict is not None  # there was a measurement
         return Innovation(
             measurement=name,
             value=verdict.innovation,
@@ -147,13 +173,15 @@ class DistanceFilter(Processor):
         )
 
     def _publish(self, innovations: list[Innovation]) -> Sample:
-        x, P = self._kalman.x, self._kalman.P
+        (distance_m,), (speed_mps,) = self._kalman.x.tolist()
+        (p00, p01), (_, p11) = self._kalman.P.tolist()
+        p00 += self._settled_m2
         state = DistanceState(
-            distance_m=x[0, 0],
-            speed_mps=x[1, 0],
-            distance_std_m=P[0, 0] ** 0.5,
-            speed_std_mps=P[1, 1] ** 0.5,
-            covariance=P.ravel().tolist(),
+            distance_m=distance_m,
+            speed_mps=speed_mps,
+            distance_std_m=sqrt(p00),
+            speed_std_mps=sqrt(p11),
+            covariance=(p00, p01, p01, p11),
             innovations=innovations,
         )
         return self.emit(keys.EST_DISTANCE, state, self._stamp_ns)
@@ -169,9 +197,11 @@ class DistanceFilter(Processor):
             "P": self._kalman.P.copy(),
             "stamp_ns": self._stamp_ns,
             "refusals": self._refusals,
+            "wheels": list(self._wheels),
             "offset_m": self._offset_m,
             "path_m": self._path_m,
             "path_ns": self._path_ns,
+            "settled_m2": self._settled_m2,
             "counts": [self._ledger.received, self._ledger.delivered, self._ledger.dropped],
         }
 
@@ -179,6 +209,7 @@ class DistanceFilter(Processor):
         self.restore_sequences(state["sequences"])
         self._kalman.x, self._kalman.P = state["x"].copy(), state["P"].copy()
         self._stamp_ns, self._refusals = state["stamp_ns"], state["refusals"]
-        self._offset_m = state["offset_m"]
+        self._wheels, self._offset_m = list(state["wheels"]), state["offset_m"]
         self._path_m, self._path_ns = state["path_m"], state["path_ns"]
+        self._settled_m2 = state["settled_m2"]
         self._ledger = Ledger("distance", "measurements", *state["counts"])

@@ -21,14 +21,18 @@ from dataclasses import replace
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
+from tramstream.errors import ConfigError
 from tramstream.processor import Ledger, Processor, Sample, State
-from tramstream.processors.windows import Window, Windows, lowpass_taps, mean_taps
+from tramstream.processors.windows import Array, Window, Windows, lowpass_taps, mean_taps
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry
 from tramstream.proto.sync_pb2 import ImuMean, LateSample, SyncFrame, SyncGap
 
 MAX_AHEAD_S = 5.0
 """A measurement further ahead of the newest stamp has a broken clock; it would wait for ever."""
+MAX_STRETCH = 0.5
+"""Samples follow one another if their stamps are within so much of what their numbers say: the
+bridge breaks a batch at 1.5 periods, and its clock fit slews by 10 % at most."""
 GNSS, ODOMETRY = 0, 1
 _KEYS = (keys.GNSS_FIX, keys.ODO_WHEELS)
 _KINDS = {key.path: kind for kind, key in enumerate(_KEYS)}
@@ -57,34 +61,29 @@ class Resampler(Processor):
     ) -> None:
         super().__init__()
         config = vehicle.resampler
-        rate_hz = vehicle.imu.rate_hz if vehicle.imu is not None else 100.0 * config.factor
-        taps = (
-            mean_taps(config.factor)
-            if config.method == "mean"
-            else lowpass_taps(config.factor, rate_hz, config.cutoff_hz)
-        )
         self.late_recorded = late_recorded
-        self._windows = Windows(config.factor, taps)
+        self._windows = Windows(config.factor, _taps(vehicle))
         self._max_bridge = config.max_bridge_samples
         self._lag_ns = int(config.horizon_lag_s * S)
         self._silence_ns = int(config.imu_silence_s * S)
         self._horizon_ns = 0  # stamp of the last released frame
         self._newest_imu_ns = 0  # stamp of the newest inertial sample
-        self._newest_ns = 0
+        self._newest_ns = 0  # newest instant of inertial samples and ticks
         self._means: deque[ImuMean] = deque()
         self._measurements: list[tuple[int, int, int, int, GnssFix | Odometry]] = []  # heap
+        self._pushed = 0
         self._samples = Ledger("resampler", "samples")
         self._measured = Ledger("resampler", "measurements")
 
     def step(self, sample: Sample) -> list[Sample]:
         if sample.key is keys.IMU_BATCH:
-            return self._take_batch(sample.message)
+            return self._take_batch(sample.message, sample.publish_ns)
         if sample.key is keys.SYNC_TICK:
             return self._take_tick(sample.stamp_ns)
         return self._take_measurement(sample)
 
     # Inertial samples ----------------------------------------------------------------------------
-    def _take_batch(self, batch: ImuBatch) -> list[Sample]:
+    def _take_batch(self, batch: ImuBatch, publish_ns: int) -> list[Sample]:
         count = len(batch.gyro_x)
         self._samples.received += count
         if count == 0:
@@ -92,13 +91,13 @@ class Resampler(Processor):
         last_ns = batch.stamp_ns + round(batch.period_ns * (count - 1))
         if last_ns <= self._newest_imu_ns:  # stamps run backwards: nothing to put in order
             self._samples.dropped += count
-            return [self._late(keys.IMU_BATCH.path, batch.sequence, 0, batch.stamp_ns)]
+            return [self._late(keys.IMU_BATCH.path, batch.sequence, publish_ns, batch.stamp_ns)]
         results = self._continue_run(batch)
         self._newest_imu_ns = last_ns
         self._newest_ns = max(self._newest_ns, last_ns)
         for window in self._windows.complete():
             results += self._take_window(window, batch)
-        results += self._release(self._newest_imu_ns - self._lag_ns)
+        results += self._release(last_ns - self._lag_ns)
         return results
 
     def _continue_run(self, batch: ImuBatch) -> list[Sample]:
@@ -108,20 +107,23 @@ class Resampler(Processor):
             self._samples.dropped += windows.begin(batch)
             return []
         missing = batch.first_sample_sequence - windows.next_sequence
-        if missing == 0:
-            windows.extend(batch)
-            return []
-        bridged = 0 < missing <= self._max_bridge
         start_ns = windows.last_stamp_ns
+        gap_ns = batch.stamp_ns - start_ns
+        expected_ns = batch.period_ns * (missing + 1)
+        in_time = abs(gap_ns - expected_ns) <= MAX_STRETCH * expected_ns
+        if missing == 0 and in_time:
+            self._samples.dropped += windows.extend(batch)
+            return []
+        bridged = in_time and 0 < missing <= self._max_bridge
         gap = SyncGap(
             first_missing=windows.next_sequence,
             missing_count=max(0, missing),
-            duration_s=(batch.stamp_ns - start_ns) / S,
+            duration_s=gap_ns / S,
             bridged=bridged,
         )
         if bridged:
             windows.bridge(batch)
-            windows.extend(batch)
+            self._samples.dropped += windows.extend(batch)
         else:
             self._samples.dropped += windows.pending
             self._samples.dropped += windows.begin(batch)
@@ -144,9 +146,12 @@ class Resampler(Processor):
             temperature_degc=batch.temperature * batch.temperature_scale_degc,
         )
         self._samples.delivered += window.sample_count
-        results = [self.emit(keys.SYNC_IMU, mean, window.stamp_ns)]
-        if window.stamp_ns <= self._horizon_ns:  # ticks had moved the horizon on meanwhile
-            results.append(self._late(keys.SYNC_IMU.path, mean.sequence, 0, window.stamp_ns))
+        stamp_ns = window.stamp_ns
+        results = [self.emit(keys.SYNC_IMU, mean, stamp_ns)]
+        # Late if ticks have moved the horizon on, or a new run overlaps the one before.
+        newest_ns = self._means[-1].stamp_ns if self._means else self._horizon_ns
+        if stamp_ns <= newest_ns:
+            results.append(self._late(keys.SYNC_IMU.path, mean.sequence, 0, stamp_ns))
         else:
             self._means.append(mean)
         return results
@@ -154,28 +159,25 @@ class Resampler(Processor):
     # Measurements and silence --------------------------------------------------------------------
     def _take_measurement(self, sample: Sample) -> list[Sample]:
         self._measured.received += 1
-        path, stamp_ns = sample.key.path, sample.stamp_ns
-        recorded = (self.late_recorded or {}).get((path, sample.publish_ns))
-        if recorded is not None:
+        path, stamp_ns, publish_ns = sample.key.path, sample.stamp_ns, sample.publish_ns
+        recorded = self.late_recorded
+        if recorded is not None and (path, publish_ns) in recorded:
+            late = True
+        else:
+            # Far-future only live: in a record, what was refused is named, and what was not waited.
+            known_ns = self._newest_ns if recorded is None else 0
+            too_far = known_ns > 0 and stamp_ns > known_ns + MAX_AHEAD_S * S
+            late = too_far or stamp_ns <= self._horizon_ns
+        if late:
             self._measured.dropped += 1
-            self._next_sequence[keys.SYNC_LATE.path] = recorded.sequence
-            again = LateSample()
-            again.CopyFrom(recorded)
-            return [self.emit(keys.SYNC_LATE, again, recorded.stamp_ns)]
-        too_far = self._newest_ns > 0 and stamp_ns > self._newest_ns + MAX_AHEAD_S * S
-        if stamp_ns <= self._horizon_ns or too_far:
-            self._measured.dropped += 1
-            return [self._late(path, sample.sequence, sample.publish_ns, stamp_ns)]
-        if self._newest_imu_ns == 0:
-            self._newest_ns = max(self._newest_ns, stamp_ns)
-        self._push(stamp_ns, _KINDS[path], sample.publish_ns, sample.message)
+            return [self._late(path, sample.sequence, publish_ns, stamp_ns)]
+        self._push(stamp_ns, _KINDS[path], publish_ns, sample.message)
         return []
 
-    def _push(
-        self, stamp_ns: int, kind: int, publish_ns: int, message: GnssFix | Odometry
-    ) -> None:
+    def _push(self, stamp_ns: int, kind: int, publish_ns: int, message: GnssFix | Odometry) -> None:
         # The last number only breaks ties of one message that came twice.
-        entry = (stamp_ns, kind, publish_ns, len(self._measurements), message)
+        self._pushed += 1
+        entry = (stamp_ns, kind, publish_ns, self._pushed, message)
         heapq.heappush(self._measurements, entry)
 
     def _take_tick(self, stamp_ns: int) -> list[Sample]:
@@ -190,12 +192,16 @@ class Resampler(Processor):
         return results
 
     def _late(self, path: str, sequence: int, publish_ns: int, stamp_ns: int) -> Sample:
-        late = LateSample(
-            key=path,
-            source_sequence=sequence,
-            source_publish_ns=publish_ns,
-            horizon_ns=self._horizon_ns,
-        )
+        recorded = (self.late_recorded or {}).get((path, publish_ns))
+        late = LateSample()
+        if recorded is not None:  # with the number that it had live, and where the horizon was
+            late.CopyFrom(recorded)
+            self._next_sequence[keys.SYNC_LATE.path] = recorded.sequence
+        else:
+            late.key = path
+            late.source_sequence = sequence
+            late.source_publish_ns = publish_ns
+            late.horizon_ns = self._horizon_ns
         return self.emit(keys.SYNC_LATE, late, stamp_ns)
 
     # The horizon ---------------------------------------------------------------------------------
@@ -208,9 +214,7 @@ class Resampler(Processor):
 
     def _frame(self, stamp_ns: int, mean: ImuMean | None) -> Sample:
         """Everything up to `stamp_ns` that has not been released yet."""
-        frame = SyncFrame()
-        if mean is not None:
-            frame.imu.CopyFrom(mean)
+        frame = SyncFrame() if mean is None else SyncFrame(imu=mean)
         measurements = self._measurements
         while measurements and measurements[0][0] <= stamp_ns:
             _, kind, _, _, message = heapq.heappop(measurements)
@@ -221,9 +225,8 @@ class Resampler(Processor):
 
     # Memory --------------------------------------------------------------------------------------
     def ledgers(self) -> list[Ledger]:
-        waiting = 0 if self._windows.empty else self._windows.pending
         return [
-            replace(self._samples, pending=waiting),
+            replace(self._samples, pending=self._windows.pending),
             replace(self._measured, pending=len(self._measurements)),
         ]
 
@@ -260,6 +263,21 @@ class Resampler(Processor):
             self._push(message.stamp_ns, kind, publish_ns, message)
         self._samples = Ledger("resampler", "samples", *state["samples"])
         self._measured = Ledger("resampler", "measurements", *state["measured"])
+
+
+def _taps(vehicle: Vehicle) -> Array:
+    """Weights of one window as configured."""
+    config = vehicle.resampler
+    if config.method == "mean":
+        return mean_taps(config.factor)
+    rate_hz = vehicle.imu.rate_hz if vehicle.imu is not None else 100.0 * config.factor
+    half_hz = rate_hz / config.factor / 2.0
+    if config.cutoff_hz >= half_hz:
+        raise ConfigError(
+            f"$.resampler.cutoff_hz: {config.cutoff_hz:g} Hz is not below half the output rate; "
+            f"$.imu.rate_hz and $.resampler.factor leave {half_hz:g} Hz"
+        )
+    return lowpass_taps(config.factor, rate_hz, config.cutoff_hz)
 
 
 def _counts(ledger: Ledger) -> list[int]:

@@ -10,6 +10,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 from tramstream.errors import RecordError
 from tramstream.recorder.chunk import Restored, decode_chunk, read_chunk_head, read_guard
 from tramstream.recorder.diskfile import Source
+from tramstream.recorder.found import Damage, Part, Scan, restore
 from tramstream.recorder.layout import (
     COPY,
     GUARD_MAGIC,
@@ -19,7 +20,7 @@ from tramstream.recorder.layout import (
     read_copy,
     tally,
 )
-from tramstream.recorder.scan import Damage, Part, Scan, restore, scan
+from tramstream.recorder.scan import scan
 from tramstream.recorder.summary import Contents, read_summary
 
 _LONGEST_GUARD_BYTES = 1 << 18

@@ -24,8 +24,8 @@ from mcap.records import Schema
 from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.recorder.files import File, load, open_file, schema_version
+from tramstream.recorder.found import Damage
 from tramstream.recorder.layout import Entry, entries_of
-from tramstream.recorder.scan import Damage
 from tramstream.recorder.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]

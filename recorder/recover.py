@@ -12,8 +12,9 @@ from pathlib import Path
 from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.recorder.diskfile import Source
+from tramstream.recorder.found import Scan, restore
 from tramstream.recorder.layout import METADATA_NAME, entries_of
-from tramstream.recorder.scan import Scan, restore, scan
+from tramstream.recorder.scan import scan
 from tramstream.recorder.writer import RecordFile, schema_of
 
 

@@ -21,14 +21,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import zstandard
-from mcap.records import ChunkIndex, MetadataIndex
+from mcap.records import ChunkIndex, Header, MetadataIndex
 
 from tramstream.errors import RecordError
 from tramstream.recorder.chunk import assemble, encode_chunk
 from tramstream.recorder.diskfile import Source
-from tramstream.recorder.layout import RECORD, VOID, encode, file_id_of
+from tramstream.recorder.found import Part, Scan, restore
+from tramstream.recorder.layout import GUARD, MAGIC, RECORD, VOID, encode, file_id_of
 from tramstream.recorder.recover import Recovery, restore_schemas, values_of
-from tramstream.recorder.scan import Part, Scan, restore, scan
+from tramstream.recorder.scan import scan
 from tramstream.recorder.sink import ACTIVE, reason, sync_directory
 from tramstream.recorder.summary import Contents
 
@@ -126,6 +127,7 @@ def _plan(source: Source, found: Scan, recovery: Recovery) -> _Log:
         end = max(end, part.end)
     for offset, length in _void(found, end):
         writes.append((offset, RECORD.pack(VOID, length - RECORD.size)))
+    writes += _front(source, found)
     tail = bytearray()
     values = values_of(found)
     torn = [restore(source, part).raw for part in found.parts if not part.whole]
@@ -148,9 +150,10 @@ def _kept(source: Source, found: Scan) -> tuple[Contents, list[tuple[int, bytes]
         if part.whole and part.head is not None:
             contents.add_chunk(_chunk_index(part))
             if part.guard is not None:
-                head = part.guard.head
-                if source.read(part.offset, len(head)) != head:
-                    writes.append((part.offset, head))
+                guard = RECORD.pack(GUARD, part.offset - part.begin - RECORD.size)
+                for offset, head in ((part.begin, guard), (part.offset, part.guard.head)):
+                    if source.read(offset, len(head)) != head:
+                        writes.append((offset, head))
     for offset, metadata in dict([*found.metadata, *found.proved_metadata]).items():
         record = encode(metadata)
         contents.metadata.append(MetadataIndex(offset, len(record), metadata.name))
@@ -176,6 +179,18 @@ def _chunk_index(part: Part) -> ChunkIndex:
     )
 
 
+def _front(source: Source, found: Scan) -> list[tuple[int, bytes]]:
+    """The first bytes and the header again, if they are damaged: no tool opens a file without."""
+    writes = [] if found.begins_well else [(0, MAGIC)]
+    offset = len(MAGIC)
+    lost = next((damage for damage in found.damages if damage.offset == offset), None)
+    if lost is not None:
+        room = lost.length - len(encode(Header("tramstream", "")))
+        if room >= 0:
+            writes.append((offset, encode(Header("tramstream", " " * room))))
+    return writes
+
+
 def _void(found: Scan, end: int) -> list[tuple[int, int]]:
     """Damaged stretches before `end`; a chunk's guard goes with it."""
     begins = {part.offset: part.begin for part in found.parts if not part.whole}
@@ -184,7 +199,12 @@ def _void(found: Scan, end: int) -> list[tuple[int, int]]:
     for damage in found.damages:
         begin = begins.get(damage.offset, damage.offset)
         length = damage.offset + damage.length - begin
-        if begin + length <= end and length >= RECORD.size and begin not in proved and begin:
+        if (
+            begin + length <= end
+            and length >= RECORD.size
+            and begin not in proved
+            and begin > len(MAGIC)
+        ):
             stretches.append((begin, length))
     return stretches
 

@@ -10,22 +10,21 @@ for definitions and for where the chunks are.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, McapRecord, Metadata, Schema
 
 from tramstream.recorder.chunk import (
-    ChunkHead,
     Guard,
-    Restored,
     decode_chunk,
     guard_bytes,
     read_chunk_head,
     read_guard,
 )
 from tramstream.recorder.diskfile import Source
+from tramstream.recorder.found import Damage, Part, Scan, restore
 from tramstream.recorder.layout import (
     COPY,
     DATA_END_BYTES,
@@ -33,10 +32,8 @@ from tramstream.recorder.layout import (
     GUARD_MAGIC,
     MAGIC,
     MAX_RECORD_BYTES,
-    NOTHING,
     RECORD,
     VOID,
-    Tally,
     copy_of,
     decode,
     encode,
@@ -44,7 +41,7 @@ from tramstream.recorder.layout import (
     read_copy,
     tally,
 )
-from tramstream.recorder.summary import Contents, read_summary
+from tramstream.recorder.summary import read_summary
 
 _WINDOW_BYTES = 1 << 20
 _HEAD_BYTES = 64
@@ -60,73 +57,6 @@ _DATA_END = RECORD.pack(Opcode.DATA_END, 4)
 _COMPRESSIONS = tuple(struct.pack("<I", len(name)) + name for name in (b"zstd", b"lz4"))
 
 
-@dataclass(slots=True)
-class Damage:
-    """A stretch of the file that is not what was written, and what it cost."""
-
-    offset: int
-    length: int
-    what: str
-
-
-@dataclass(slots=True)
-class Part:
-    """One chunk as it was found, or a run of messages outside of chunks (`head` is None).
-
-    `begin` to `end` covers it with its guard and message indexes. `tally` counts what it gives.
-    """
-
-    begin: int
-    offset: int
-    end: int
-    head: ChunkHead | None
-    guard: Guard | None = None
-    whole: bool = True
-    tally: Tally = NOTHING
-    index_offsets: dict[int, int] = field(default_factory=dict)
-    index_bytes: int = 0
-
-
-@dataclass(slots=True)
-class Scan:
-    """What a walk through a file found."""
-
-    size: int
-    begins_well: bool = True
-    profile: str = ""
-    library: str = ""
-    file_id: bytes = b""
-    parts: list[Part] = field(default_factory=list)
-    damages: list[Damage] = field(default_factory=list)
-    plain: Contents = field(default_factory=Contents)
-    proved: Contents = field(default_factory=Contents)
-    metadata: list[tuple[int, Metadata]] = field(default_factory=list)
-    proved_metadata: list[tuple[int, Metadata]] = field(default_factory=list)
-    attachments: list[tuple[int, Attachment]] = field(default_factory=list)
-    good_end: int = 0
-    finished: bool = False
-
-    def schemas(self) -> dict[int, Schema]:
-        """By id; what a checksum vouches for goes before what stands alone."""
-        return {**self.plain.schemas, **self.proved.schemas}
-
-    def channels(self) -> dict[int, Channel]:
-        return {**self.plain.channels, **self.proved.channels}
-
-
-def restore(source: Source, part: Part) -> Restored:
-    """The records of a part, as far as they can be had."""
-    if part.head is None:
-        return Restored(source.read(part.offset, part.end - part.offset), whole=True)
-    data = source.read(part.offset + part.head.data_offset, part.head.data_size)
-    cut = len(data) < part.head.data_size
-    restored = decode_chunk(part.head, data, part.guard, cut)
-    if restored.whole or part.guard is not None:
-        return restored
-    end = tally(restored.raw).end
-    return Restored(restored.raw[:end], whole=False)
-
-
 def scan(source: Source) -> Scan:
     """Walk through `source`; see `Scan`."""
     return _Walk(source).run()
@@ -139,6 +69,7 @@ class _Walk:
         self.guard: tuple[int, int, Guard] | None = None  # begin, end, guard
         self.end = source.size
         self.hints: list[int] = []
+        self.trusted = -1  # where a chunk follows its damaged guard
         self.ended = False  # past the end of data, in a summary that is not whole
 
     def run(self) -> Scan:
@@ -159,7 +90,21 @@ class _Walk:
                 after = self._next(position + 1)
                 self._lost(position, after - position)
             position = after
+        if found.finished and not found.damages and not self._checksum_holds():
+            what = "bytes outside of the messages are not as written"
+            found.damages.append(Damage(self.end, 1, what))
         return found
+
+    def _checksum_holds(self) -> bool:
+        """Whether the data section has the CRC-32 that its end states (0 states none)."""
+        content = self.source.read(self.end + RECORD.size, 4)
+        if content == bytes(4):
+            return True
+        crc = 0
+        for position in range(0, self.end, _WINDOW_BYTES):
+            size = min(_WINDOW_BYTES, self.end - position)
+            crc = zlib.crc32(self.source.read(position, size), crc)
+        return content == struct.pack("<I", crc)
 
     def _record(self, position: int) -> int | None:
         """Take the record at `position`; where the next one begins, or None if it cannot be."""
@@ -170,7 +115,8 @@ class _Walk:
             return None
         opcode, length = RECORD.unpack_from(head)
         if opcode == Opcode.CHUNK:
-            return self._chunk(position, head, None)
+            ours = self.found.file_id and position not in (self.trusted, *self.hints)
+            return None if ours else self._chunk(position, head, None)
         if opcode == GUARD or head[9:17] == GUARD_MAGIC:
             return self._guard(position)
         after = int(position + RECORD.size + length)
@@ -244,14 +190,33 @@ class _Walk:
     def _guard(self, position: int) -> int | None:
         content = self.source.read(position + RECORD.size, _HEAD_BYTES + len(GUARD_MAGIC) * 4)
         size = guard_bytes(content)
-        if not RECORD.size < size <= MAX_RECORD_BYTES or position + size > self.end:
-            return None
-        guard = read_guard(self.source.read(position + RECORD.size, size - RECORD.size))
-        if guard is None or (self.found.file_id or guard.file_id) != guard.file_id:
+        guard = None
+        if RECORD.size < size <= MAX_RECORD_BYTES and position + size <= self.end:
+            guard = read_guard(self.source.read(position + RECORD.size, size - RECORD.size))
+        if guard is None:
+            return self._damaged_guard(position, content)
+        if (self.found.file_id or guard.file_id) != guard.file_id:
             return None
         self.found.file_id = guard.file_id
         self.guard = (position, position + size, guard)
         return position + size
+
+    def _damaged_guard(self, position: int, content: bytes) -> int | None:
+        """Step over a guard that lost its checksum, if a chunk follows and the guard is ours.
+
+        A chunk without a guard of this file would be believed by its own checksum alone, and a
+        stale disk block of an older record holds such chunks.
+        """
+        _, length = RECORD.unpack(self.source.read(position, RECORD.size))
+        after = int(position + RECORD.size + length)
+        known = zip(self.found.file_id, content[8:16], strict=False)
+        if length > MAX_RECORD_BYTES or sum(a == b for a, b in known) < 7:
+            return None
+        if read_chunk_head(self.source.read(after, _HEAD_BYTES)) is None:
+            return None
+        self.found.damages.append(Damage(position, after - position, "a chunk's guard"))
+        self.trusted = after
+        return after
 
     def _chunk(
         self, position: int, head: bytes, guarded: tuple[int, int, Guard] | None
@@ -350,7 +315,7 @@ class _Walk:
         if head.startswith(_DATA_END):
             return self._plausible(position + DATA_END_BYTES)
         chunk = read_chunk_head(head)
-        if chunk is None:
+        if chunk is None or self.found.file_id:  # a chunk of ours is found by its guard
             return False
         data = self.source.read(position + chunk.data_offset, chunk.data_size)
         cut = len(data) < chunk.data_size

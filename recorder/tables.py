@@ -1,8 +1,8 @@
 """Messages of a record as tables: one CSV file a key.
 
 Columns are the message's fields in their order, with their names (which hold the units); fields of
-parts are joined by dots, elements of lists and maps by their index or key. Bytes are written in hex,
-enumerations by name, a Foxglove timestamp as nanoseconds. A field that is absent is an empty cell.
+parts are joined by dots, elements of lists and maps by their index or key. Bytes are written in
+hex, enumerations by name, a Foxglove timestamp as nanoseconds. An absent field is an empty cell.
 """
 
 from __future__ import annotations

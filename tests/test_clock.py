@@ -237,7 +237,8 @@ def test_all_who_start_at_once_agree(tmp_path: Path, stale: bool) -> None:
         if stale:
             text = json.dumps({"boot_id": "another boot", "offset_ns": 5, "rate": 1.0})
             (folder / "clock.json").write_text(text)
-        barrier, offsets = threading.Barrier(8), []
+        barrier = threading.Barrier(8)
+        offsets: list[int] = []
 
         def start(
             folder: Path = folder,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.line import Line, Segment, built_in_line, parse_plan
@@ -26,7 +27,7 @@ def built_in() -> Ride:
     return Ride(built_in_line())
 
 
-def instants(ride: Ride) -> np.ndarray:
+def instants(ride: Ride) -> NDArray[np.float64]:
     return np.arange(0.0, ride.duration_s + 20.0, STEP_S)
 
 

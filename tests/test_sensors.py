@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.line import Line, Segment, built_in_line
@@ -40,7 +41,7 @@ def standing(count: int) -> Motion:
     return Motion(zero, zero, zero, zero, zero, np.ones(count, dtype=bool))
 
 
-def assert_variance(values: np.ndarray, variance: float) -> None:
+def assert_variance(values: NDArray[np.float64], variance: float) -> None:
     """Hold a sample variance of white noise to χ² with n − 1 degrees of freedom."""
     count = len(values)
     ratio = np.var(values, axis=0, ddof=1) / variance

@@ -29,6 +29,9 @@ CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
 CONNECT_TIMEOUT_MS = 2000
+QUEUE_BATCHES = 16
+"""Of 64 KiB; zenoh allows no more."""
+WAIT_FOR_ROUTER_US = 200_000
 SOCKET_PATH_MAX = 100
 """A Unix socket's path has 108 bytes; zenoh appends to it."""
 
@@ -242,7 +245,6 @@ class ZenohBus(Bus):
                     topic,
                     encoding=encoding,
                     congestion_control=self._congestion,
-                    express=True,
                 )
                 self._publishers[topic] = publisher
             publisher.put(payload, attachment=HEADER.pack(publish_ns, sequence, self.session))
@@ -338,6 +340,8 @@ def _base_config(mode: str) -> Any:
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")
+    # Two batches a link, the default, are full when a reader is not scheduled for milliseconds.
+    config.insert_json5("transport/link/tx/queue/size/data", str(QUEUE_BATCHES))
     return config
 
 
@@ -351,6 +355,11 @@ def _client_config(path: Path) -> Any:
     config = _base_config("client")
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("connect/endpoints", json.dumps([f"unixsock-stream/{path}"]))
+    # The router always reads on: waiting for it in a busy moment loses nothing. The router itself
+    # keeps the default, 1 ms: it must not wait for a frozen subscriber.
+    config.insert_json5(
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop", str(WAIT_FOR_ROUTER_US)
+    )
     config.insert_json5("connect/timeout_ms", str(CONNECT_TIMEOUT_MS))
     config.insert_json5(
         "connect/retry",

@@ -25,6 +25,14 @@ class BusError(TramstreamError):
     """No bus, or no router on it."""
 
 
+class NodeError(TramstreamError):
+    """A node that did not start; carries its exit status on."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.exit_status = status if status > 0 else 1
+
+
 class RecordError(TramstreamError):
     """A record that cannot be read as asked."""
 

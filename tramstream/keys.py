@@ -61,7 +61,7 @@ def _key(path: str, type_: Any, rate_hz: float, instant: str, doc: str) -> Key:
 
 
 # raw: what devices said -----------------------------------------------------------------------
-GNSS_BYTES = _key("raw/gnss/bytes", raw_pb2.RawBytes, 10, "arrival", "Receiver's bytes as read")
+GNSS_BYTES = _key("raw/gnss/bytes", raw_pb2.RawBytes, 5, "arrival", "Receiver's bytes as read")
 GNSS_FIX = _key("raw/gnss/fix", gnss_pb2.GnssFix, 5, "epoch", "Position, velocity, time")
 GNSS_LOCATION = _key("raw/gnss/location", LocationFix, 5, "epoch", "The same fix for any viewer")
 GNSS_COVARIANCE = _key(

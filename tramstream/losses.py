@@ -27,6 +27,7 @@ class LossCounter:
         self.lost: Counter[str] = Counter()
         self.disordered: Counter[str] = Counter()
         self._last: dict[str, _Last] = {}
+        self._accounted: Counter[str] = Counter()  # drops of the queue that have been told
 
     @property
     def total(self) -> int:
@@ -35,7 +36,7 @@ class LossCounter:
     def see(self, envelope: Envelope, dropped: Counter[str]) -> list[Loss]:
         """Take note of a message; return what is missing before it.
 
-        `dropped` counts what the node's own queue dropped, by topic; it is used up.
+        `dropped` counts what the node's own queue has dropped since the beginning, by topic.
         """
         if envelope.sequence == 0:
             return []
@@ -48,11 +49,14 @@ class LossCounter:
             missing = envelope.sequence - last.sequence - 1
         else:
             missing = 0
+            self._accounted[topic] = dropped[topic]  # of an old session: nobody can place them
         self._last[topic] = _Last(envelope.session, envelope.sequence, envelope.publish_ns)
         if missing == 0 or last is None:
             return []
         self.lost[topic] += missing
-        queued = min(missing, dropped.pop(topic, 0)) if dropped else 0
+        # Not more than are missing here: the others were dropped after this message.
+        queued = min(missing, dropped[topic] - self._accounted[topic])
+        self._accounted[topic] += queued
         causes = ((queued, Loss.Cause.QUEUE), (missing - queued, Loss.Cause.BUS))
         return [
             Loss(

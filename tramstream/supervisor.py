@@ -1,24 +1,24 @@
 """Starts the nodes of a vehicle as processes of their own and starts those again that die.
 
-The supervisor's process is the bus' router too. A node's standard input is a pipe that nobody
-writes to: when the supervisor is gone, it ends, and so does the node. Nodes end in the order
-bridges, processors, simulators, recorder, so that the record holds the last word of each.
+The supervisor's process is the bus' router too; when it is gone, the nodes end by themselves.
+Nodes end in the order bridges, processors, simulators, recorder, so that the record holds the last
+word of each.
 """
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-from tramstream import keys, registry
+from tramstream import keys, process, registry
 from tramstream.bus import Bus
 from tramstream.clock import boot_id
 from tramstream.config import Vehicle
+from tramstream.errors import NodeError
 from tramstream.node import Node
 from tramstream.proto.health_pb2 import ClockReference
 
@@ -35,7 +35,7 @@ class Child:
     """One node's process."""
 
     name: str
-    process: subprocess.Popen[bytes] | None = None
+    process: ForkServerProcess | None = None
     started_s: float = 0.0
     starts: int = 0
     backoff_s: float = BACKOFF_FIRST_S
@@ -67,6 +67,7 @@ class Supervisor:
         self.bus = bus
         self._config_path = config_path
         self._say = say
+        self._server = process.server()
         self.children = [Child(name) for name in registry.node_names(vehicle, separate)]
 
     def start(self) -> None:
@@ -74,8 +75,8 @@ class Supervisor:
 
         Raises
         ------
-        subprocess.CalledProcessError
-            If a node refuses its configuration; it has said why on standard error.
+        NodeError
+            If a node ends at once; it has said why on standard error.
         """
         first, *others = self.children
         self._spawn(first)
@@ -93,7 +94,7 @@ class Supervisor:
                 if now_s >= child.again_s:
                     self._spawn(child)
                 continue
-            status = child.process.poll()
+            status = child.process.exitcode
             if status is None:
                 if now_s - child.started_s > GOOD_RUN_S:
                     child.backoff_s = BACKOFF_FIRST_S
@@ -109,37 +110,31 @@ class Supervisor:
     def stop(self) -> None:
         """End all nodes, the last started first, the recorder last."""
         for child in reversed(self.children):
-            process = child.process
-            if process is None:
+            running = child.process
+            if running is None:
                 continue
-            process.terminate()
-            try:
-                process.wait(STOP_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
+            running.terminate()
+            running.join(STOP_TIMEOUT_S)
+            if running.exitcode is None:
                 self._say(f"node {child.name} does not end; killing it")
-                process.kill()
-                process.wait()
+                running.kill()
+                running.join()
             child.process = None
 
     def _spawn(self, child: Child) -> None:
-        command = [sys.executable, "-m", "tramstream.cli.main", "node", child.name]
-        child.process = subprocess.Popen(
-            [*command, str(self._config_path), "--supervised"],
-            stdin=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the supervisor, which ends them in order
-        )
+        child.process = process.spawn(self._server, child.name, self._config_path)
         child.started_s = time.monotonic()
         child.starts += 1
 
     def _await_alive(self, child: Child) -> None:
         token = keys.alive(self.vehicle.vehicle, child.name)
-        process = child.process
-        assert process is not None
+        running = child.process
+        assert running is not None
         deadline_s = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            status = process.poll()
+            status = running.exitcode
             if status is not None:
-                raise subprocess.CalledProcessError(status, process.args)
+                raise NodeError(f"node {child.name} ended with status {status} at its start", status)
             if self.bus.alive(token):
                 return
             time.sleep(0.02)

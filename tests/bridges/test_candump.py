@@ -115,7 +115,7 @@ def test_lines_are_those_of_python_can(frame: CanFrame) -> None:
     )
     with can.CanutilsLogWriter("/dev/null") as writer:
         lines: list[str] = []
-        writer.file = Lines(lines)  # type: ignore[assignment]
+        writer.file = Lines(lines)
         writer.on_message_received(message)
     read = parse_line(lines[-1])
     assert isinstance(read, CanFrame)

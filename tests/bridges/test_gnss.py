@@ -201,6 +201,13 @@ def test_receiver_that_talks_both_is_published_once() -> None:
     assert sources(solution(START_NS) + sentences) == {"NAV-PVT": 1}
 
 
+def test_better_solution_takes_over_from_a_date_in_the_future() -> None:
+    texts = ("GNRMC,100000.00,V,,,,,,,010250,,,N", "GNGGA,100001.00,,,,,0,,,,,,,,")
+    sentences = b"".join(map(nmea_frame, texts))
+    out = GnssBridge(VEHICLE).step(raw(sentences + solution(START_NS), BOOT_NS))
+    assert [f.message.source for f in on(out, keys.GNSS_FIX)] == ["NMEA", "NAV-PVT"]
+
+
 def test_leap_seconds_only_where_valid() -> None:
     bridge = GnssBridge(VEHICLE)
     fields = {"iTOW": 1000, "week": WEEK, "leapS": LEAP_S}

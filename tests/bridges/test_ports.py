@@ -1,4 +1,4 @@
-"""Ports: pseudo terminals stand for serial lines, python-can's own buses and a socket pair for CAN."""
+"""Ports: pseudo terminals for serial lines, python-can's own buses and a socket pair for CAN."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import struct
 import time
 import tty
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -108,7 +109,7 @@ def test_serial_port_reads_every_byte_with_its_arrival(pty: Pty) -> None:
         before_ns = CLOCK.now_ns()
         part = data[start : start + 2_500]
         pty.send(part)
-        messages = until(port.read, lambda got, part=part: sum(map(size, got)) >= len(part))
+        messages = until(port.read, partial(complete, len(part)))
         read += b"".join(message.data for message in messages)
         stamps += [before_ns, *(message.stamp_ns for message in messages), CLOCK.now_ns()]
         assert {message.device for message in messages} == {str(pty.link)}
@@ -118,8 +119,8 @@ def test_serial_port_reads_every_byte_with_its_arrival(pty: Pty) -> None:
     port.close()
 
 
-def size(message: RawBytes) -> int:
-    return len(message.data)
+def complete(size: int, messages: list[RawBytes]) -> bool:
+    return sum(len(message.data) for message in messages) >= size
 
 
 @pytest.mark.live
@@ -164,7 +165,7 @@ def test_line_without_permission_names_the_group(monkeypatch: pytest.MonkeyPatch
         raise serial.SerialException(errno.EACCES, "could not open port")
 
     monkeypatch.setattr(serial, "Serial", refuse)
-    with pytest.raises(DeviceError, match="/dev/ttyACM0: no permission; .*group dialout"):
+    with pytest.raises(DeviceError, match=r"/dev/ttyACM0: no permission; .*group dialout"):
         serial_port("/dev/ttyACM0").open()
 
 
@@ -254,6 +255,7 @@ def test_slcan_adapter_on_a_serial_line_is_opened_read_and_reopened(pty: Pty) ->
         pty.plug()
 
 
+@pytest.mark.live
 def test_slcan_bit_rate_that_does_not_exist_is_a_device_error(pty: Pty) -> None:
     with pytest.raises(DeviceError, match=r"\$\.odometer\.interface, channel and bitrate"):
         can_port("slcan", pty.link, bitrate=123).open()
@@ -276,7 +278,7 @@ def test_interface_that_is_down_names_the_command(monkeypatch: pytest.MonkeyPatc
         can_port("socketcan", "can0").open()
 
 
-# socketcan: a socket pair instead of the kernel's --------------------------------------------------
+# socketcan: a socket pair instead of the kernel's -------------------------------------------------
 
 
 class Kernel:
@@ -307,6 +309,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernel]:
             end.close()
 
 
+@pytest.mark.live
 def test_frames_of_the_kernel_are_gathered_into_one_message(kernel: Kernel) -> None:
     port = can_port("socketcan", "can0")
     port.open()
@@ -329,6 +332,7 @@ def test_frames_of_the_kernel_are_gathered_into_one_message(kernel: Kernel) -> N
     port.close()
 
 
+@pytest.mark.live
 def test_losses_of_the_socket_become_error_frames_at_their_place(
     kernel: Kernel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +352,7 @@ def test_losses_of_the_socket_become_error_frames_at_their_place(
     port.close()
 
 
+@pytest.mark.live
 def test_link_down_after_good_frames_loses_none_of_them(kernel: Kernel) -> None:
     port = can_port("socketcan", "can0")
     port.open()
@@ -373,11 +378,12 @@ def test_link_down_after_good_frames_loses_none_of_them(kernel: Kernel) -> None:
     message = port.read()
     assert message is not None
     assert list(message.id) == [1]
-    with pytest.raises(DeviceError, match="the CAN interface is lost .*down"):
+    with pytest.raises(DeviceError, match=r"the CAN interface is lost .*down"):
         port.read()
     port.close()
 
 
+@pytest.mark.live
 def test_interface_made_anew_is_noticed_in_its_silence(
     kernel: Kernel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

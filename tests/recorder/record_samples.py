@@ -84,9 +84,7 @@ def write(path: Path, sent: Iterable[Sent], flush_every: int = 0, **options) -> 
 
 def append(record, sent: Iterable[Sent], flush_every: int = 0) -> None:
     for number, one in enumerate(sent, 1):
-        record.append(
-            one.topic, one.key, one.payload, one.log_ns, one.publish_ns, one.sequence
-        )
+        record.append(one.topic, one.key, one.payload, one.log_ns, one.publish_ns, one.sequence)
         if flush_every and number % flush_every == 0:
             record.flush()
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import random
 
 import pytest
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+)
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
@@ -110,7 +114,7 @@ def test_records_of_two_vehicles_are_refused(tmp_path):
 def test_what_is_no_record_gets_one_sentence(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordError, match="a.mcap"):
+    with pytest.raises(RecordError, match=r"a\.mcap"):
         open_record(path)
 
 
@@ -123,7 +127,9 @@ def test_absent_file_and_empty_folder_are_refused(tmp_path):
 
 def foreign_class():
     """A message type that nobody has told us about."""
-    field = FieldDescriptorProto(name="speed_mps", number=1, type="TYPE_DOUBLE", label="LABEL_OPTIONAL")
+    field = FieldDescriptorProto(
+        name="speed_mps", number=1, type="TYPE_DOUBLE", label="LABEL_OPTIONAL"
+    )
     file = FileDescriptorProto(name="far.proto", package="far", syntax="proto3")
     file.message_type.append(DescriptorProto(name="Away", field=[field]))
     pool = DescriptorPool()

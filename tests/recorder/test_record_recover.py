@@ -5,16 +5,17 @@ from __future__ import annotations
 import itertools
 import os
 import random
+from contextlib import suppress
 
 import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from record_samples import MS, START_NS, VEHICLE, active, append, plain, read, traffic, write
+from record_samples import VEHICLE, active, append, plain, read, traffic, write
 
 from tramstream.errors import RecordError
 from tramstream.recorder import repair as repair_module
 from tramstream.recorder.chunk import read_guard
-from tramstream.recorder.layout import GUARD_MAGIC, entries_of
+from tramstream.recorder.layout import GUARD_MAGIC
 from tramstream.recorder.reader import open_record
 from tramstream.recorder.recover import recover
 from tramstream.recorder.repair import REDO, repair
@@ -48,7 +49,7 @@ def whole_before(data: bytes, cut: int) -> int:
 
 
 def test_cut_at_every_byte_of_the_last_chunk_yields_every_whole_message(tmp_path):
-    sent = traffic(200)
+    sent = traffic(165)
     path = active(tmp_path / "a.mcap", sent, 120)
     data = path.read_bytes()
     earlier = 120
@@ -76,7 +77,9 @@ def test_cut_anywhere_is_repaired_to_a_clean_record(tmp_path):
     sent = traffic(200)
     data = active(tmp_path / "a.mcap", sent, 60).read_bytes()
     finished = write(tmp_path / "b.mcap", sent, 60).read_bytes()
-    for number, cut in enumerate([*range(300, len(data), 211), *range(len(data), len(finished), 61)]):
+    for number, cut in enumerate(
+        [*range(300, len(data), 211), *range(len(data), len(finished), 61)]
+    ):
         source = tmp_path / f"{number}.mcap.active"
         source.write_bytes((data if cut <= len(data) else finished)[:cut])
         before = read(source)
@@ -91,7 +94,7 @@ def test_cut_anywhere_is_repaired_to_a_clean_record(tmp_path):
 
 def flips(size: int):
     """Offsets over the whole file, dense at its ends."""
-    return [*range(0, 700), *range(700, size - 1500, 13), *range(size - 1500, size)]
+    return [*range(400), *range(400, size - 700, 31), *range(size - 700, size)]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +104,7 @@ def small(tmp_path_factory):
     return sent, write(folder / "a.mcap", sent, 25, metadata={"config": "x"}).read_bytes()
 
 
-@pytest.mark.parametrize("bit", [0x01, 0x80, 0xFF])
+@pytest.mark.parametrize("bit", [0x01, 0xFF])
 def test_flipped_byte_costs_one_chunk_at_most_and_never_lies(tmp_path, small, bit):
     sent, data = small
     true = set(plain(sent))
@@ -127,7 +130,7 @@ def test_flipped_byte_costs_one_chunk_at_most_and_never_lies(tmp_path, small, bi
 def test_flipped_byte_is_recovered_to_a_clean_record(tmp_path, small):
     sent, data = small
     true = set(plain(sent))
-    for number, offset in enumerate(range(5, len(data), 97)):
+    for number, offset in enumerate(range(5, len(data), 151)):
         damaged = bytearray(data)
         damaged[offset] ^= 0x40
         source, target = tmp_path / "a.mcap", tmp_path / f"{number}.mcap"
@@ -163,7 +166,7 @@ def test_blocks_of_zeros_at_the_end_are_no_messages(tmp_path):
     sent = traffic(200)
     path = active(tmp_path / "a.mcap", sent, 60)
     data = path.read_bytes()
-    for kept in range(len(data) - 9000, len(data), 411):
+    for kept in range(data.rfind(GUARD_MAGIC), len(data), 41):
         path.write_bytes(data[:kept] + bytes(len(data) - kept))
         found = read(path)
         assert found == plain(sent[: len(found)])
@@ -174,11 +177,13 @@ def test_stale_block_of_another_record_is_not_believed(tmp_path):
     older = active(tmp_path / "old.mcap", traffic(120, seed=9), 60).read_bytes()
     record = RecordFile(tmp_path / "a.mcap", VEHICLE, {"session": "new"})
     append(record, traffic(60), 60)
+    record.flush()
     record.abandon()
     path = tmp_path / "a.mcap.active"
-    stale = older[older.rfind(GUARD_MAGIC) - 9 :]
-    path.write_bytes(path.read_bytes() + stale)
-    assert read(path) == plain(traffic(60))
+    own, place = path.read_bytes(), older.rfind(GUARD_MAGIC)
+    for begin in range(place - 9, older.index(b"\x04\0\0\0zstd", place + 100), 3):
+        path.write_bytes(own + older[begin:])
+        assert read(path) == plain(traffic(60))
 
 
 def test_page_that_the_disk_cannot_read_costs_its_chunk_only(tmp_path, monkeypatch):
@@ -248,10 +253,8 @@ def test_killed_at_any_write_of_a_repair_it_ends_the_same(tmp_path, monkeypatch)
         source.write_bytes(torn)
         with monkeypatch.context() as patch:
             calls = dying(patch, limit)
-            try:
+            with suppress(KilledError):
                 repair(source)
-            except KilledError:
-                pass
             finished = calls[0] < limit
         target = tmp_path / f"{limit}.mcap"
         if not target.exists():
@@ -289,8 +292,3 @@ def dying(patch, limit):
     for name in ("write", "pwrite", "ftruncate", "fsync", "rename", "unlink"):
         patch.setattr(repair_module.os, name, wrap(name))
     return calls
-
-
-def test_entries_of_steps_over_what_is_not_wanted():
-    assert entries_of(b"", {}, 0, START_NS) == []
-    assert MS == 1_000_000

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from record_samples import MS, START_NS, VEHICLE, Sent, plain, read, traffic, write
+from record_samples import MS, START_NS, VEHICLE, Sent, append, plain, read, traffic, write
 
 from tramstream import keys
 from tramstream.errors import RecordError
@@ -38,7 +38,9 @@ def anything(draw):
     ]
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(sent=anything(), every=st.integers(0, 7), chunk_bytes=st.sampled_from([100, 4000, 1 << 20]))
 def test_written_messages_read_back_equal(tmp_path, sent, every, chunk_bytes):
     path = tmp_path / "a.mcap"
@@ -178,8 +180,7 @@ def test_stalled_disk_costs_memory_up_to_the_limit_and_then_counted_messages(tmp
     jobs.pop()()
     record.flush()
     assert record.state == NodeHealth.OK
-    for one in sent[1500:]:
-        record.append(one.topic, one.key, one.payload, one.log_ns, one.publish_ns, one.sequence)
+    append(record, sent[1500:])
     record.close()
     jobs.pop()()
     assert read(tmp_path / "a.mcap") == plain(sent[:kept] + sent[1500:])
@@ -211,16 +212,22 @@ def test_failed_sync_is_told_and_the_file_is_given_up(tmp_path, monkeypatch):
 
 def test_exception_while_writing_leaves_a_recoverable_file(tmp_path):
     path = tmp_path / "a.mcap"
-    with pytest.raises(KeyError), RecordFile(path, VEHICLE) as record:
-        for one in traffic(20):
-            record.append(one.topic, one.key, one.payload, one.log_ns, one.publish_ns, one.sequence)
-        raise KeyError
+
+    def fail():
+        with RecordFile(path, VEHICLE) as record:
+            append(record, traffic(20))
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
     assert not path.exists()
     assert read(tmp_path / "a.mcap.active") == plain(traffic(20))
 
 
 def test_times_need_not_rise(tmp_path):
-    sent = [one._replace(log_ns=START_NS + (i * 37 % 100) * MS) for i, one in enumerate(traffic(100))]
+    sent = [
+        one._replace(log_ns=START_NS + (i * 37 % 100) * MS) for i, one in enumerate(traffic(100))
+    ]
     path = write(tmp_path / "a.mcap", sent, 10)
     logs = [entry[2] for entry in read(path)]
     assert logs == sorted(one.log_ns for one in sent)

@@ -1,0 +1,146 @@
+"""`tramstream top`: one screen for ssh, every key, node and device of a vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tramstream.cli.options import JsonOption, VehicleOption
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tramstream.bus import Bus
+    from tramstream.cli.stats import Stats
+
+LISTEN_S = 2.5
+"""Two heartbeats of each node: its processor share is told by their difference."""
+REFRESH_S = 0.25
+POLL_S = 0.05
+WINDOW_S = 5.0
+RING_CAPACITY = 16384
+
+
+def top(
+    vehicle: VehicleOption = "",
+    once: Annotated[
+        bool, typer.Option("--once", help="Print one screen and end: for scripts and logs.")
+    ] = False,
+    json_: JsonOption = False,
+    listen_s: Annotated[
+        float, typer.Option("--listen-s", help="With --once: how long to listen first.", min=0.1)
+    ] = LISTEN_S,
+) -> None:
+    """Show every key with rate, age, losses and last value, and the health of nodes and devices.
+
+    What is yellow is late, slow or lossy; what is red is gone. The key q or Ctrl-C ends it.
+    """
+    import sys
+
+    from tramstream.cli import session
+    from tramstream.cli.keyboard import Keyboard
+
+    stop = session.stop_on_signals()
+    with session.client() as bus:
+        chosen = session.vehicle_on(bus, vehicle)
+        if once or json_ or not sys.stdout.isatty():
+            _once(Watch(bus, chosen), stop.wait, listen_s, json_)
+            return
+        with live_screen(bus, chosen) as refresh, Keyboard() as keyboard:
+            while not stop.is_set() and keyboard.pressed() != "q":
+                refresh()
+                stop.wait(POLL_S)
+
+
+class Watch:
+    """Everything that `vehicle` publishes, counted as it comes."""
+
+    def __init__(self, bus: Bus, vehicle: str) -> None:
+        from tramstream import keys
+        from tramstream.bus import Envelope
+        from tramstream.cli.stats import Stats
+        from tramstream.ring import Ring
+
+        self.vehicle = vehicle
+        self.stats: Stats = Stats(WINDOW_S)
+        self._bus = bus
+        self._ring: Ring[Envelope] = Ring(RING_CAPACITY)
+        expression = f"{keys.ROOT}/{vehicle}/**"
+        self._subscription = bus.subscribe(expression, lambda e: self._ring.put(e.topic, e))
+
+    def update(self) -> int:
+        """Count what has come; return the time now."""
+        for _ in range(len(self._ring)):
+            envelope = self._ring.get(0.0)
+            if envelope is not None:
+                self.stats.add(envelope)
+        return self._bus.clock.now_ns()
+
+    def close(self) -> None:
+        self._subscription.close()
+
+
+def render(
+    stats: Stats, vehicle: str, now_ns: int, title: str = "", height: int = 0
+) -> RenderableType:
+    """The screen of `vehicle` at `now_ns`; with a `height` no more lines than that."""
+    from tramstream.cli.board import board
+    from tramstream.cli.screen import Screen
+
+    return Screen(board(stats, vehicle, now_ns), title, height)
+
+
+@contextmanager
+def live_screen(bus: Bus, vehicle: str, title: str = "") -> Iterator[Callable[[], None]]:
+    """The terminal's alternate screen; call what it gives often, it refreshes at 4 Hz."""
+    import time
+
+    from rich.console import Console
+    from rich.live import Live
+
+    watch = Watch(bus, vehicle)
+    console = Console(highlight=False)
+    due_s = 0.0
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+
+        def refresh() -> None:
+            nonlocal due_s
+            if time.monotonic() < due_s:
+                return
+            due_s = time.monotonic() + REFRESH_S
+            now_ns = watch.update()
+            live.update(
+                render(watch.stats, vehicle, now_ns, title, console.size.height), refresh=True
+            )
+
+        try:
+            yield refresh
+        finally:
+            watch.close()
+
+
+def _once(watch: Watch, wait: Callable[[float], object], listen_s: float, as_json: bool) -> None:
+    """Listen, then print one screen, or one object with the same."""
+    import io
+    import shutil
+    import sys
+
+    from rich.console import Console
+
+    from tramstream.cli.board import board
+    from tramstream.cli.look import line
+
+    wait(listen_s)
+    now_ns = watch.update()
+    if as_json:
+        print(line(board(watch.stats, watch.vehicle, now_ns).as_dict()))
+        return
+    colour = sys.stdout.isatty()
+    text = io.StringIO()
+    width = shutil.get_terminal_size((160, 50)).columns
+    console = Console(file=text, width=width, force_terminal=colour, highlight=False)
+    console.print(render(watch.stats, watch.vehicle, now_ns), end="")
+    print(text.getvalue(), end="")
