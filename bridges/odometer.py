@@ -3,7 +3,8 @@
 Only frames that carry a configured signal are decoded. A wheel counts by what it is: `pulses` are
 added up, a `counter` is unwrapped (a step of half its range or more is a step backwards: a tram
 backs), a `speed` is the last one. As soon as every configured wheel has been seen since the last
-reading, one is published with the arrival of the frame that completed it. Doors and motor force
+reading, one is published with the arrival of the frame that completed it; a wheel that has been
+silent for `silence_s` is not waited for and left out. Doors and motor force
 ride along as last known.
 
 A frame that cannot be used (too short, remote, an error frame, not a number) is counted by reason.
@@ -17,6 +18,7 @@ from typing import Any
 from tramstream import keys
 from tramstream.bridges.canframe import ERROR, EXTENDED, HOST_OVERFLOW, REMOTE, classify_error
 from tramstream.bridges.dbc import EXTENDED_ID, Database, Field
+from tramstream.clock import S
 from tramstream.config import Odometer, Signal, Vehicle
 from tramstream.config import Wheel as WheelConfig
 from tramstream.errors import ConfigError
@@ -41,6 +43,7 @@ class _Wheel:
         self.counter: int | None = None
         self.speed_mps = 0.0
         self.values = 0  # since the last reading
+        self.seen_ns = 0
 
     def take(self, value: float, data: bytes) -> None:
         """Take the physical value of a frame."""
@@ -86,6 +89,7 @@ class OdometerBridge(Processor):
             raise ConfigError("$.odometer: missing; the odometer bridge needs its DBC and wheels")
         self._wheels: list[_Wheel] = []
         self._plans: dict[int, _Plan] = {}
+        self._silence_ns = int(vehicle.odometer.silence_s * S)
         self._compile(vehicle.odometer)
         self._known: dict[str, float] = {}  # doors_open, motor_force_n
         self._decoded = 0
@@ -137,11 +141,20 @@ class OdometerBridge(Processor):
                 self._reject(REJECT_REMOTE, data)
             elif len(data) < plan.bytes_needed:
                 self._reject(REJECT_SHORT, data)
-            elif self._decode(plan, data) and all(wheel.values for wheel in self._wheels):
-                out.append(self._publish(message.stamp_ns + offset_ns))
+            else:
+                stamp_ns = message.stamp_ns + offset_ns
+                if self._decode(plan, data, stamp_ns) and self._complete(stamp_ns):
+                    out.append(self._publish(stamp_ns))
         return out
 
-    def _decode(self, plan: _Plan, data: bytes) -> bool:
+    def _complete(self, stamp_ns: int) -> bool:
+        """Whether every wheel that is not silent has been seen since the last reading."""
+        for wheel in self._wheels:
+            wheel.seen_ns = wheel.seen_ns or stamp_ns  # silence begins with the first frame
+        silent_ns = stamp_ns - self._silence_ns
+        return all(wheel.values or wheel.seen_ns < silent_ns for wheel in self._wheels)
+
+    def _decode(self, plan: _Plan, data: bytes, stamp_ns: int) -> bool:
         """Take a frame's values; whether a wheel was among them."""
         found = [(wheel, wheel.field.physical(data)) for wheel in plan.wheels]
         known = [(what, field.physical(data), scale) for what, field, scale in plan.signals]
@@ -157,12 +170,15 @@ class OdometerBridge(Processor):
         for wheel, value in found:
             if value is not None:
                 wheel.take(value, data)
+                wheel.seen_ns = stamp_ns
                 seen = True
         return seen
 
     def _publish(self, stamp_ns: int) -> Sample:
         message = Odometry()
         for wheel in self._wheels:
+            if not wheel.values:
+                continue  # silent: better no reading than an old one
             if wheel.kind == "speed":
                 message.wheels.add(wheel=wheel.name, speed_mps=wheel.speed_mps)
                 self._values_replaced += wheel.values - 1
@@ -221,6 +237,7 @@ class OdometerBridge(Processor):
                     "counter": wheel.counter,
                     "speed_mps": wheel.speed_mps,
                     "values": wheel.values,
+                    "seen_ns": wheel.seen_ns,
                 }
                 for wheel in self._wheels
             },

@@ -41,7 +41,8 @@ WAIT_S = 0.2
 """A read blocks no longer than this, so that the loop notices when it shall stop."""
 READ_LIMIT = 65536
 IMU_GATHER_S = 0.005
-GNSS_GATHER_S = 0.01
+GNSS_GATHER_S = 0.002
+"""Short: what the fastest read waits goes straight into the stamps of all fixes."""
 CAN_GATHER_S = 0.02
 FRAME_LIMIT = 4096
 PTY_FOLDER = "/dev/pts/"

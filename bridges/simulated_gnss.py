@@ -38,7 +38,7 @@ WEEK_S = 604_800
 UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 GEOID_M = 44.5
 """EGM96 undulation in Prague, rounded."""
-PIECE_S = 0.005
+PIECE_S = 0.001
 """The host's serial driver hands bytes over about this often."""
 SKY = tuple(
     (gnss_id, sv_id, 30 + 3 * (sv_id % 6), 15 + 11 * (sv_id % 7), 47 * sv_id % 360)

@@ -32,16 +32,13 @@ def echo(
     ] = False,
 ) -> None:
     """Print messages as they come, or as they stand in a file; json: one object a line."""
-    from collections import Counter
-
     from tramstream.cli.look import LiveSource, Waiting, look
     from tramstream.cli.session import say, stop_on_signals
-    from tramstream.losses import LossCounter
+    from tramstream.cli.stats import Sequence
 
     as_json = json_ or format_ is Format.json
     stop = stop_on_signals()
-    losses = LossCounter("echo")
-    no_drops: Counter[str] = Counter()
+    sequences: dict[str, Sequence] = {}
     printed = 0
     with look(key, file, vehicle) as source:
         waiting = Waiting(source)
@@ -49,7 +46,7 @@ def echo(
             waiting.see(envelope)
             if envelope is None:
                 continue
-            missing = sum(loss.count for loss in losses.see(envelope, no_drops))
+            missing = sequences.setdefault(envelope.topic, Sequence()).missing(envelope)
             if as_json:
                 print(_as_json(source, envelope), flush=source.live)
             else:

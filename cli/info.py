@@ -37,11 +37,12 @@ def info(
 
 
 def _print(description: Description) -> None:
+    import sys
     from datetime import UTC, datetime
 
     from rich.console import Console
 
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else 160)
     start = datetime.fromtimestamp(description.start_ns // 1_000_000_000, UTC)
     schema = description.schema_version
     facts = [
@@ -68,21 +69,30 @@ def _table(description: Description) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("key", "type"):
-        table.add_column(name, overflow="fold")
-    for name in ("count", "rate Hz", "gaps", "missing", "restarts"):
+    channels = description.channels
+    table.add_column("key", no_wrap=True)
+    table.add_column("type", overflow="fold")
+    for name in ("count", "rate Hz"):
         table.add_column(name, justify="right")
-    table.add_column("reported lost")
-    for channel in description.channels:
-        lost = ", ".join(f"{n} {cause.lower()}" for cause, n in channel.reported_lost.items())
-        table.add_row(
+    rows = [
+        [
             channel.path,
-            channel.type,
+            channel.type.removeprefix("tramstream."),
             str(channel.count),
             f"{channel.rate_hz:.1f}" if channel.count > 1 else "",
-            str(channel.gaps or ""),
-            str(channel.missing or ""),
-            str(channel.restarts or ""),
-            lost,
-        )
+        ]
+        for channel in channels
+    ]
+    for name in ("gaps", "missing", "restarts"):
+        if any(getattr(channel, name) for channel in channels):
+            table.add_column(name, justify="right")
+            for row, channel in zip(rows, channels, strict=True):
+                row.append(str(getattr(channel, name) or ""))
+    if any(channel.reported_lost for channel in channels):
+        table.add_column("reported lost")
+        for row, channel in zip(rows, channels, strict=True):
+            lost = channel.reported_lost.items()
+            row.append(", ".join(f"{count} {cause.lower()}" for cause, count in lost))
+    for row in rows:
+        table.add_row(*row)
     return table

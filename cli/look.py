@@ -174,23 +174,16 @@ class FileSource(Source):
             for info in self.record.channels.values()
         }
         wanted = {info.topic for info in self.channels}
-        starts: dict[str, tuple[int, int, int]] = {}
         for entry in self.record.messages(wanted.__contains__):
             if stop.is_set():
                 return
-            # A record does not name sessions: who publishes later under a lower number began anew.
-            last_publish_ns, last_sequence, session_ = starts.get(entry.topic, (0, 0, 1))
-            if entry.sequence <= last_sequence and entry.publish_ns > last_publish_ns:
-                session_ += 1
-            if entry.publish_ns > last_publish_ns:
-                starts[entry.topic] = (entry.publish_ns, entry.sequence, session_)
             yield Envelope(
                 entry.topic,
                 entry.payload,
                 encodings[entry.topic],
                 entry.publish_ns,
                 entry.sequence,
-                session_,
+                0,
                 entry.log_ns,
             )
 
@@ -283,6 +276,8 @@ def nothing_at(pattern: str, known: list[str]) -> str:
     """The sentence for a key that is not there, with those that were perhaps meant."""
     wanted = [part for part in pattern.split("/") if "*" not in part]
     near = difflib.get_close_matches(pattern, known, n=3, cutoff=0.6)
+    if any(path.startswith(f"{pattern}/") for path in known):
+        near.insert(0, f"{pattern}/{ANY}")
     near += [path for path in known if wanted and set(wanted) & set(path.split("/")[1:])]
     near = list(dict.fromkeys(near))[:4]
     return f"no key is called {pattern}; " + (

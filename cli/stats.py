@@ -8,7 +8,7 @@ over a sliding window, which tells what is going on now.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,11 +16,9 @@ from tramstream import keys
 from tramstream.bus import Envelope
 from tramstream.clock import S
 from tramstream.keys import Key
-from tramstream.losses import LossCounter
 
 WINDOW_S = 10.0
 """Long enough for a steady figure at 1 Hz, short enough to see a change while one looks."""
-_NO_DROPS: Counter[str] = Counter()
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +36,38 @@ class Figures:
     size_max_bytes: int | None = None
 
 
+class Sequence:
+    """Watches the sequence numbers of one topic.
+
+    A publisher that starts anew is told by its session, or, in a record, which names none, by a
+    lower number that was published later. What its predecessor sent last cannot be known.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.disordered = 0
+        self._last: Envelope | None = None
+
+    def missing(self, envelope: Envelope) -> int:
+        """Take note of a message; how many are missing right before it."""
+        last = self._last
+        if envelope.sequence == 0:  # a stranger without our header
+            return 0
+        if last is None or envelope.session != last.session:
+            self._last = envelope
+            return 0
+        if envelope.sequence <= last.sequence:
+            if envelope.publish_ns > last.publish_ns:
+                self._last = envelope
+            else:
+                self.disordered += 1
+            return 0
+        self._last = envelope
+        missing = envelope.sequence - last.sequence - 1
+        self.lost += missing
+        return missing
+
+
 class KeyStats:
     """What came on one topic."""
 
@@ -48,8 +78,7 @@ class KeyStats:
         self.key: Key | None = keys.find(path)
         self.count = 0
         self.bytes = 0
-        self.lost = 0
-        self.disordered = 0
+        self.sequence = Sequence()
         self.last: Envelope | None = None
         self.before: Envelope | None = None
         """The message before `last`: what grows steadily is told by the difference."""
@@ -63,6 +92,7 @@ class KeyStats:
     def add(self, envelope: Envelope) -> None:
         """Take note of a message."""
         size, now_ns = len(envelope.payload), envelope.arrival_ns
+        self.sequence.missing(envelope)
         if self.last is None:
             self._first_ns = now_ns
             self._size_min = self._size_max = size
@@ -86,6 +116,16 @@ class KeyStats:
         deviation_ns = period_ns - self._period_mean_ns
         self._period_mean_ns += deviation_ns / self.count
         self._period_square_ns2 += deviation_ns * (period_ns - self._period_mean_ns)
+
+    @property
+    def lost(self) -> int:
+        """Messages missing by sequence number."""
+        return self.sequence.lost
+
+    @property
+    def disordered(self) -> int:
+        """Messages that came after a later one."""
+        return self.sequence.disordered
 
     @property
     def type_name(self) -> str:
@@ -176,7 +216,6 @@ class Stats:
     def __init__(self, window_s: float = WINDOW_S) -> None:
         self.by_topic: dict[str, KeyStats] = {}
         self._window_s = window_s
-        self._losses = LossCounter("look")
 
     def expect(self, topic: str) -> KeyStats:
         """The figures of `topic`, from now on among the results even if nothing comes."""
@@ -187,11 +226,7 @@ class Stats:
 
     def add(self, envelope: Envelope) -> None:
         """Take note of a message."""
-        topic = envelope.topic
-        found = self.by_topic.get(topic) or self.expect(topic)
-        self._losses.see(envelope, _NO_DROPS)
-        found.lost = self._losses.lost[topic]
-        found.disordered = self._losses.disordered[topic]
+        found = self.by_topic.get(envelope.topic) or self.expect(envelope.topic)
         found.add(envelope)
 
     def in_order(self) -> list[KeyStats]:

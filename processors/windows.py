@@ -41,12 +41,12 @@ def mean_taps(factor: int) -> Array:
 def lowpass_taps(factor: int, rate_hz: float, cutoff_hz: float) -> Array:
     """Hamming-windowed sinc, unit gain at 0 Hz, of `factor`'s parity (pusman2017: cut-off 16 Hz).
 
-    At the cut-off the gain is one half. The transition is centred on it and ends where the stop
-    band (−53 dB) has to begin: at half the output rate, beyond which everything folds. Its width
-    is 3.3 / length · rate (Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed., table
-    7.2). `cutoff_hz` lies below half the output rate.
+    At the cut-off, which lies below half the output rate, the gain is one half. The transition is
+    centred on it: the pass band is flat up to half the cut-off, and the stop band (−53 dB) begins
+    before half the output rate, beyond which everything folds. Its width is 3.3 / length · rate
+    (Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed., table 7.2).
     """
-    transition_hz = rate_hz / factor - 2.0 * cutoff_hz
+    transition_hz = min(cutoff_hz, rate_hz / factor - 2.0 * cutoff_hz)
     half = max(factor, int(np.ceil(3.3 * rate_hz / transition_hz / 2.0)))
     length = 2 * half + factor % 2
     time = np.arange(length) - (length - 1) / 2.0

@@ -27,6 +27,7 @@ from tramstream.recorder.sink import ACTIVE, Loss, LossBook, Worker, reason
 from tramstream.recorder.space import FreeSpace
 from tramstream.recorder.writer import RecordFile, host_metadata
 
+_PATIENCE_S = 10.0
 _SPOILED_SPLIT_NS = 10 * S
 """After a sync that failed, go on in a new file, but not more often than this."""
 
@@ -70,7 +71,7 @@ class Recording:
         self._previous: RecordFile | None = None
         self._closing: list[RecordFile] = []
         self._losses = LossBook()
-        self._folder_text = ""
+        self._folder_text = self._end_text = ""
         self._begun_ns = 0
         self._checking = False
 
@@ -90,7 +91,7 @@ class Recording:
     @property
     def text(self) -> str:
         """One sentence if the state is not OK."""
-        texts = [self._stopped]
+        texts = [self._end_text, self._stopped]
         texts += [file.text for file in [self._file, *self._closing] if file is not None]
         return next((text for text in texts if text), "")
 
@@ -102,7 +103,8 @@ class Recording:
         sentences = []
         self._make_folder()
         if not self._folder_text:
-            self._check_space()  # first, so that repairs have room
+            self._check_space()
+            self._worker.drain(_PATIENCE_S)  # repairs want the room that it makes
             for active in sorted(self.directory.glob(f"*.mcap{ACTIVE}")):
                 try:
                     sentences.append(repair(active).sentence)
@@ -167,6 +169,8 @@ class Recording:
             self._end_part()
         drained = self._worker.drain(timeout_s)
         self._settle(again=False)
+        if self._closing:
+            self._end_text = self.text
         left, self._closing = self._closing, []
         for file in left:
             file.abandon(busy=not drained)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 from pathlib import Path
 from types import TracebackType
@@ -47,6 +48,16 @@ class Source:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    @property
+    def locked(self) -> bool:
+        """Whether a living recorder writes the file."""
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return False
 
     def close(self) -> None:
         if self._fd >= 0:

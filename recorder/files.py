@@ -117,6 +117,9 @@ def _by_scan(file: File, found: Scan) -> None:
         )
     file.schemas, file.channels = found.schemas(), found.channels()
     file.damages = found.damages
+    if file.source.locked:  # being written: what is not whole yet is not damaged
+        end = file.source.size
+        file.damages = [d for d in found.damages if d.offset + d.length < end]
     for _, metadata in found.proved_metadata or found.metadata:
         if metadata.name == METADATA_NAME:
             file.metadata |= metadata.metadata

@@ -19,6 +19,8 @@ class Damage:
     offset: int
     length: int
     what: str
+    saved_bytes: int = 0
+    """So many of them gave messages nevertheless."""
 
 
 @dataclass(slots=True)

@@ -17,7 +17,7 @@ from typing import Any
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 from mcap.records import Schema
 
@@ -177,7 +177,7 @@ class Record:
             class_ = self._classes[entry.topic] = self._class(entry.topic)
         try:
             return class_.FromString(entry.payload)
-        except Exception as error:
+        except DecodeError as error:
             raise RecordError(
                 f"{self.files[0].path}: a message on {entry.topic} is no "
                 f"{self.type_of(entry.topic)} ({error}); the publisher's version differs"

@@ -66,7 +66,7 @@ class Recovery:
             self.messages_from_torn_chunk += 0 if part.whole else kept
             self.chunks_kept += part.whole
         self.chunks_damaged = sum("chunk" in damage.what for damage in found.damages)
-        self.bytes_damaged = sum(damage.length for damage in found.damages)
+        self.bytes_damaged = sum(damage.length - damage.saved_bytes for damage in found.damages)
         self.start_ns = min((part.tally.start_ns for part in found.parts), default=0)
         self.end_ns = max((part.tally.end_ns for part in found.parts), default=0)
 

@@ -242,6 +242,7 @@ class _Walk:
         after = end if end <= self.end and self._plausible(end) else self._next(position + 1)
         part.end = after
         self._lost(position, after - position, sum(part.tally.counts.values()))
+        self.found.damages[-1].saved_bytes = restored.used_bytes
         return after
 
     def _keep(self, part: Part) -> None:

@@ -115,10 +115,11 @@ class Sink:
 
     `put`, `flush` and `finish` only queue work. `error` is one sentence while the disk refuses,
     empty otherwise; `spoiled` says that a sync failed, after which the kernel forgets what it has
-    not written: the owner should go on in another file.
+    not written: the owner should go on in another file. A `durable` sink syncs at each flush, any
+    does before it is finished.
     """
 
-    def __init__(self, final: Path, worker: Worker) -> None:
+    def __init__(self, final: Path, worker: Worker, durable: bool = True) -> None:
         self.final = final
         self.path = final.with_name(final.name + ACTIVE)
         self.size = 0  # of all that was put
@@ -128,6 +129,7 @@ class Sink:
         self.spoiled = False
         self.finished = False
         self._worker = worker
+        self._durable = durable
         self._groups: deque[bytes] = deque()
         self._lock = threading.Lock()
         self._scheduled = False
@@ -176,7 +178,7 @@ class Sink:
         try:
             self._open()
             grown = self._write()
-            if grown or finishing:
+            if finishing or (grown and self._durable):
                 self._sync()
             if finishing:
                 self._rename()

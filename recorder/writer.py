@@ -91,7 +91,7 @@ class RecordFile:
         self.path = path
         self.contents = Contents()
         self._live = worker is not None
-        self._sink = Sink(path, worker or Worker(threaded=False))
+        self._sink = Sink(path, worker or Worker(threaded=False), durable=self._live)
         self._losses = LossBook()
         self._chunk_bytes, self._limit_bytes = chunk_bytes, limit_bytes
         self._compressor = zstandard.ZstdCompressor(level=3)

@@ -90,7 +90,7 @@ def test_imu_noise_has_the_variance_of_its_density_and_the_mean_of_its_bias() ->
         (counts.accel, imu.scales.accel_mps2, errors.accel_noise_mps2_rthz, 0.1),
     ):
         variance = density**2 * rate_hz + unit**2 / 12  # rounding adds a twelfth of a count²
-        assert_variance(values * unit, variance)
+        assert_variance(np.asarray(values * unit, dtype=float), variance)
         mean = np.mean(values * unit, axis=0)
         np.testing.assert_allclose(mean, bias, atol=CHI2_SIGMA * math.sqrt(variance / count))
 
@@ -174,7 +174,7 @@ def test_gnss_error_is_stationary_with_its_deviation_and_decay() -> None:
     ratio = np.var(p_l, axis=0) / std**2
     assert np.all(np.abs(ratio - 1) < CHI2_SIGMA * math.sqrt(2 / effective))
     drive = p_l[1:] - 0.95 * p_l[:-1]
-    assert_variance(drive / std, 1 - 0.95**2)
+    assert_variance(np.asarray(drive / std), 1 - 0.95**2)
 
 
 def test_gnss_decay_is_per_second_at_any_rate() -> None:

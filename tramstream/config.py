@@ -5,11 +5,14 @@ Defaults live here, each with its source. Units stand in field names and are SI 
 
 from __future__ import annotations
 
+import difflib
+import math
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import msgspec.inspect
 from msgspec import Meta
 
 from tramstream.errors import ConfigError
@@ -200,10 +203,47 @@ def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     """Decode configuration text; see `load`."""
     try:
         raw: dict[str, Any] = msgspec.toml.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{name}: not TOML: {error}") from error
+    try:
+        _check(raw, msgspec.inspect.type_info(Vehicle), "$")
         vehicle = msgspec.convert(raw, Vehicle)
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+    except (ValueError, msgspec.ValidationError) as error:
         raise ConfigError(f"{name}: {error}") from error
     return _resolve(vehicle, folder)
+
+
+def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
+    """Refuse what msgspec would let pass, or refuse without a cure.
+
+    Raises
+    ------
+    ValueError
+        For an unknown field, with the nearest known ones, and for nan and infinity.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{path}: {value} is not a finite number")
+    if isinstance(expected, msgspec.inspect.UnionType):  # a section that may be absent
+        structs = [each for each in expected.types if isinstance(each, msgspec.inspect.StructType)]
+        expected = structs[0] if structs else expected
+    if isinstance(value, list):
+        for index, item in enumerate(value):
+            _check(item, msgspec.inspect.AnyType(), f"{path}[{index}]")
+    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.DictType):
+        for name, item in value.items():
+            _check(item, expected.value_type, f"{path}.{name}")
+    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.StructType):
+        known = {field.encode_name: field.type for field in expected.fields}
+        for name, item in value.items():
+            if name not in known:
+                raise ValueError(_unknown(f"{path}.{name}", name, list(known)))
+            _check(item, known[name], f"{path}.{name}")
+
+
+def _unknown(path: str, name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=2)
+    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    return f"{path}: unknown field; {guess}there are: {', '.join(known)}"
 
 
 def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
@@ -222,9 +262,7 @@ def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
             )
             for name, simulator in vehicle.simulators.items()
         },
-        "bus": msgspec.structs.replace(
-            vehicle.bus, runtime_dir=absolute(vehicle.bus.runtime_dir)
-        ),
+        "bus": msgspec.structs.replace(vehicle.bus, runtime_dir=absolute(vehicle.bus.runtime_dir)),
     }
     if vehicle.odometer is not None:
         changes["odometer"] = msgspec.structs.replace(
@@ -245,4 +283,4 @@ def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
 
 def _device(name: str, folder: Path) -> str:
     """A path with a slash in it is relative to the configuration; `can0` is an interface."""
-    return str((folder / name).absolute()) if "/" in name else name
+    return str((folder / name).absolute()) if "/" in name and "://" not in name else name

@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median_low
 from typing import Any
 
 from tramstream import keys, snapshots
@@ -69,6 +70,7 @@ class ProcessorNode(Node):
         self._lead = _Lead()
         self._ticks = keys.SYNC_TICK.path in self._consumers
         self._tick_sequence = 0
+        self._tick_ns = 0
         self._session = int.from_bytes(os.urandom(8), "little")
         self._snapshot_path = snapshot_path
         self._last_snapshot_ns = 0
@@ -97,8 +99,7 @@ class ProcessorNode(Node):
     def finish(self) -> None:
         for reader in self.readers:
             reader.join(1.0)
-        while len(self.ring):
-            self._turn(0.0)
+        self.drain()
         if self.readers:
             self.publish_raw()
             self.device_health()
@@ -113,9 +114,13 @@ class ProcessorNode(Node):
         state, sentence = snapshots.load(self._snapshot_path, self.clock.now_ns())
         if sentence:
             self.log(sentence)
-        if state is not None and snapshots.restore(state, self.processors):
+        if state is None:
+            return
+        if snapshots.restore(state, self.processors):
             self._tick_sequence = state.tick_sequence
             self.log(f"{self.name} goes on from the memory of its predecessor")
+        else:
+            self.log(f"{self._snapshot_path}: the memory of other processors; starting afresh")
 
     # One item ------------------------------------------------------------------------------------
     def _from_port(self, port: Port) -> Any:
@@ -126,16 +131,19 @@ class ProcessorNode(Node):
         message: Any = key.type.FromString(envelope.payload)
         sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
         if self._ticks:
-            self._note(sample)
+            self._note(sample, envelope.arrival_ns)
         self.dispatch(sample)
 
     def handle_item(self, item: Any) -> None:
+        """Keep the raw bytes for the record, whatever the decoder then makes of them."""
         key, message = item
-        self.dispatch(Sample(key, message, message.stamp_ns, 0))
+        if isinstance(message, Exception):
+            raise message  # a bug in the port; its thread goes on
         if isinstance(message, RawBytes):
             self._raw.setdefault(key.path, []).append(message)
         else:
             self.publish_numbered(key, message)
+        self.dispatch(Sample(key, message, message.stamp_ns, message.sequence))
 
     def dispatch(self, sample: Sample) -> None:
         """Step a sample through everybody who wants it, and what follows likewise."""
@@ -152,19 +160,27 @@ class ProcessorNode(Node):
                     self.send(result)
                     work.append(result)
 
-    def _note(self, sample: Sample) -> None:
-        """Remember how far this key has been read."""
+    def _note(self, sample: Sample, arrival_ns: int) -> None:
+        """Remember how far this key has been read, and what it says about event time."""
         position = self._positions.get(sample.key.path)
         if position is None:
             position = Position(key=sample.key.path, first_publish_ns=sample.publish_ns)
             self._positions[sample.key.path] = position
         position.last_publish_ns = sample.publish_ns
         position.count += 1
-        self._lead.see(sample.stamp_ns, self.clock.now_ns())
+        self._lead.see(sample.key.path, sample.stamp_ns, arrival_ns)
 
     # Timers --------------------------------------------------------------------------------------
     def tick(self) -> None:
-        now_ns = self._lead.event_ns(self.clock.now_ns())
+        """Let time pass; not before the first input, for event time follows the inputs.
+
+        While messages wait in the queue, it is not later than the last one that was read: a process
+        that stood still for a moment must not take its own delay for silence of the devices.
+        """
+        known = self._lead.event_ns(len(self.ring) > 0, self.clock.now_ns())
+        if known is None:
+            return
+        now_ns = self._tick_ns = max(known, self._tick_ns)
         self._tick_sequence += 1
         message = Tick(
             stamp_ns=now_ns,
@@ -189,7 +205,10 @@ class ProcessorNode(Node):
         )
         self.publish(keys.SYNC_SNAPSHOT, message)
         if self._snapshot_path is not None:
-            snapshots.save(self._snapshot_path, message)
+            try:
+                snapshots.save(self._snapshot_path, message)
+            except OSError as error:
+                self.fault(error)
 
     def publish_raw(self) -> None:
         for path, reads in self._raw.items():
@@ -205,8 +224,10 @@ class ProcessorNode(Node):
         self.put(key, message, message.sequence)
 
     def device_health(self) -> None:
+        texts = []
         for reader in self.readers:
             state, text = reader.health()
+            texts.append(text)
             message = DeviceHealth(
                 device=self.name,
                 port=reader.port.device,
@@ -223,31 +244,39 @@ class ProcessorNode(Node):
                         message.rejected_by_reason.update(value)
                     elif value is not None:
                         setattr(message, name, value)
-            self.trouble = text
             self.publish(keys.DEVICE.at(self.name), message)
+        self.trouble = "; ".join(text for text in texts if text)
 
     def ledgers(self) -> list[Ledger]:
         return [ledger for processor in self.processors for ledger in processor.ledgers()]
 
 
 class _Lead:
-    """How far event time is ahead of the clock: the most of the last inputs.
+    """How far event time is ahead of the clock: of each input the most it was lately.
 
-    Live it is a few milliseconds negative; for a replayed record it is the age of the record.
+    Live it is a few milliseconds negative; for a replayed record it is the age of the record. The
+    (lower) median over the inputs counts, so that one device with broken stamps moves nothing.
     """
 
     def __init__(self) -> None:
         self._since_ns = 0
-        self._now: int | None = None
-        self._before: int | None = None
+        self._now: dict[str, int] = {}
+        self._before: dict[str, int] = {}
+        self._read_ns = 0
 
-    def see(self, stamp_ns: int, now_ns: int) -> None:
-        if now_ns - self._since_ns > LEAD_WINDOW_S * S:
-            self._since_ns, self._before, self._now = now_ns, self._now, None
-        lead_ns = stamp_ns - now_ns
-        if self._now is None or lead_ns > self._now:
-            self._now = lead_ns
+    def see(self, path: str, stamp_ns: int, arrival_ns: int) -> None:
+        self._read_ns = arrival_ns
+        if arrival_ns - self._since_ns > LEAD_WINDOW_S * S:
+            self._since_ns, self._before, self._now = arrival_ns, self._now, {}
+        lead_ns = stamp_ns - arrival_ns
+        self._now[path] = max(lead_ns, self._now.get(path, lead_ns))
 
-    def event_ns(self, now_ns: int) -> int:
-        known = [lead for lead in (self._now, self._before) if lead is not None]
-        return now_ns + (max(known) if known else 0)
+    def event_ns(self, waiting: bool, now_ns: int) -> int | None:
+        """Event time now, or of the last message read if more are `waiting`; None before any."""
+        known = self._before | {
+            path: max(lead_ns, self._before.get(path, lead_ns))
+            for path, lead_ns in self._now.items()
+        }
+        if not known:
+            return None
+        return (self._read_ns if waiting else now_ns) + median_low(known.values())

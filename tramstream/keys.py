@@ -1,4 +1,4 @@
-"""All keys of the bus: layer, source, quantity, type, rate and clock, written here and nowhere else.
+"""All keys of the bus: layer, source, quantity, type, rate, clock; written here, nowhere else.
 
 A full key is `tram/<vehicle>/<layer>/<source>/<quantity>`. `Key.path` leaves the first two parts
 out; that is how processors and configurations speak of keys. Every stamp is on the *vehicle clock*
@@ -105,11 +105,15 @@ ODO_WHEELS = _key("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, do
 TRUTH_STATE = _key("raw/truth/state", raw_pb2.TruthState, 10, "state", "The simulator's truth")
 
 # sync: the ordered stream ------------------------------------------------------------------------
-SYNC_IMU = _key("sync/imu/mean", sync_pb2.ImuMean, 100, "window centre", "100 Hz inertial mean, now")
+SYNC_IMU = _key(
+    "sync/imu/mean", sync_pb2.ImuMean, 100, "window centre", "100 Hz inertial mean, now"
+)
 SYNC_FRAME = _key("sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps")
 SYNC_GAP = _key("sync/imu/gap", sync_pb2.SyncGap, 0, "gap's start", "Inertial samples missing")
-SYNC_LATE = _key("sync/fusion/late", sync_pb2.LateSample, 0, "late sample", "Came after the horizon")
-SYNC_TICK = _key("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, reading position")
+SYNC_LATE = _key(
+    "sync/fusion/late", sync_pb2.LateSample, 0, "late sample", "Came after the horizon"
+)
+SYNC_TICK = _key("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read")
 SYNC_SNAPSHOT = _key("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
 
 # est: what filters say ------------------------------------------------------------------------
@@ -118,11 +122,17 @@ EST_DISTANCE = _key(
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------
-HEARTBEAT = _key("health/*/heartbeat", health_pb2.NodeHealth, 1, "publication", "A process is alive")
-DEVICE = _key("health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge")
+HEARTBEAT = _key(
+    "health/*/heartbeat", health_pb2.NodeHealth, 1, "publication", "A process is alive"
+)
+DEVICE = _key(
+    "health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge"
+)
 LOSS = _key("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
 LOG = _key("health/*/log", Log, 0, "publication", "What a node has to say")
-CLOCK = _key("health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC")
+CLOCK = _key(
+    "health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC"
+)
 
 ALL: tuple[Key, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Key))
 _BY_PATH = {key.path: key for key in ALL}
@@ -149,7 +159,8 @@ def find(path: str) -> Key | None:
     if key is None and path.count("/") == 2:
         layer, source, quantity = path.split("/")
         generic = _BY_PATH.get(f"{layer}/{ANY_SOURCE}/{quantity}")
-        key = generic.at(source) if generic is not None else None
+        if generic is not None and source and ANY_SOURCE not in source:
+            key = generic.at(source)
     return key
 
 

@@ -33,6 +33,8 @@ RING_CAPACITY = 8192
 IDLE_S = 0.2
 """Longest wait of the loop: how fast it notices that it shall stop."""
 HEARTBEAT_S = 1.0
+TRACE_AGAIN_S = 10.0
+"""A fault that repeats is told so often: two hundred traces a second would fill the record."""
 
 
 class _Timer:
@@ -64,11 +66,11 @@ class Node(ABC):
         self.stop = stop
         self.ring: Ring[Any] = Ring(RING_CAPACITY)
         self.losses = LossCounter(name)
-        self.handled = 0
         self.faults = 0
         self.trouble = ""
         """One sentence when something is wrong; part of the heartbeat."""
         self._fault_text = ""
+        self._fault_told_ns = 0
         self._sequences: dict[str, int] = {}
         self._topics: dict[str, tuple[str, str]] = {}
         self._timers: list[_Timer] = []
@@ -87,10 +89,10 @@ class Node(ABC):
         """Work on something that this node's own threads put into the ring."""
         raise TypeError(f"{self.name} has no use for {type(item).__name__}")
 
-    def begin(self) -> None:
+    def begin(self) -> None:  # noqa: B027  most nodes have nothing to do here
         """Right before the first item: after all subscriptions are open."""
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027
         """Right after the last item, while the bus is still open."""
 
     def ledgers(self) -> list[Ledger]:
@@ -117,11 +119,15 @@ class Node(ABC):
                 self._turn(self._patience_s())
             for subscription in subscriptions:
                 subscription.close()
-            while len(self.ring):
-                self._turn(0.0)
+            self.drain()
         finally:
             self.finish()
             self.heartbeat()
+
+    def drain(self) -> None:
+        """Work on what is queued."""
+        while len(self.ring):
+            self._turn(0.0)
 
     def _deliver(self, envelope: Envelope) -> None:
         self.ring.put(envelope.topic, envelope)
@@ -134,7 +140,6 @@ class Node(ABC):
     def _turn(self, timeout_s: float) -> None:
         item = self.ring.get(timeout_s)
         if item is not None:
-            self.handled += 1
             try:
                 if isinstance(item, Envelope):
                     for loss in self.losses.see(item, self.ring.dropped):
@@ -178,22 +183,23 @@ class Node(ABC):
 
     def log(self, text: str, level: Log.Level = Log.WARNING) -> None:
         """Say one sentence on `health/<node>/log`."""
-        self.publish(keys.LOG.at(self.name), Log(level=level, message=text, name=self.name))
+        message = Log(level=level, message=_printable(text), name=self.name)
+        self.publish(keys.LOG.at(self.name), message)
 
     def fault(self, error: Exception) -> None:
         """An exception out of a stage: a bug. Publish it, count it, go on."""
         self.faults += 1
-        self._fault_text = f"{type(error).__name__}: {error}"
-        trace = "".join(traceback.format_exception(error))
-        self.log(trace, Log.ERROR)
+        before, self._fault_text = self._fault_text, _printable(f"{type(error).__name__}: {error}")
+        now_ns = self.clock.now_ns()
+        if self._fault_text != before or now_ns - self._fault_told_ns >= TRACE_AGAIN_S * S:
+            self._fault_told_ns = now_ns
+            self.log("".join(traceback.format_exception(error)), Log.ERROR)
 
     def heartbeat(self) -> None:
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        text = self.trouble or (
-            f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
-            if self.faults
-            else ""
-        )
+        text = _printable(self.trouble)
+        if self.faults and not text:
+            text = f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
         self.publish(
             keys.HEARTBEAT.at(self.name),
             NodeHealth(
@@ -206,14 +212,8 @@ class Node(ABC):
                 rss_bytes=_rss_bytes(),
                 messages_lost=self.losses.total,
                 faults=self.faults,
-                stages=[_stage(ledger) for ledger in [self._queue_ledger(), *self.ledgers()]],
+                stages=[_stage(ledger) for ledger in [self.ring.ledger(), *self.ledgers()]],
             ),
-        )
-
-    def _queue_ledger(self) -> Ledger:
-        ring = self.ring
-        return Ledger(
-            "queue", "items", ring.received, self.handled, ring.dropped_total, len(ring)
         )
 
 
@@ -226,6 +226,11 @@ def _stage(ledger: Ledger) -> StageLedger:
         dropped=ledger.dropped,
         pending=ledger.pending,
     )
+
+
+def _printable(text: str) -> str:
+    """Text that protobuf takes: a file or device may be named by bytes that are none."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def _rss_bytes() -> int:

@@ -41,9 +41,19 @@ class Port(Protocol):
 
 
 class PortReader:
-    """Thread that opens a port, reads it into `deliver`, and opens it again when it is lost."""
+    """Thread that opens a port, reads it into `deliver`, and opens it again when it is lost.
 
-    def __init__(self, port: Port, deliver: Callable[[Any], None], stop: threading.Event) -> None:
+    Any exception but a `DeviceError` is a bug in the port: it is delivered like a message, for the
+    loop to tell, and the port is opened again all the same.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        deliver: Callable[[Any], None],
+        stop: threading.Event,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.port = port
         self.state: DeviceHealth.State = DeviceHealth.LOST
         self.text = f"{port.device}: not opened yet"
@@ -51,18 +61,22 @@ class PortReader:
         self.bytes_received = 0
         self._deliver = deliver
         self._stop = stop
-        self._last_s = time.monotonic()
+        self._backoff_s = BACKOFF_FIRST_S
+        self._monotonic_s = monotonic_s
+        self._last_s = monotonic_s()
         self._thread = threading.Thread(target=self._run, name=f"port {port.device}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def join(self, timeout_s: float) -> None:
-        self._thread.join(timeout_s)
+        """Wait for the thread to end; at once if it was never started."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
 
     @property
     def silence_s(self) -> float:
-        return time.monotonic() - self._last_s
+        return self._monotonic_s() - self._last_s
 
     def health(self) -> tuple[DeviceHealth.State, str]:
         """State now and one sentence, empty while all is well."""
@@ -74,26 +88,32 @@ class PortReader:
         return self.state, self.text
 
     def _run(self) -> None:
-        backoff_s = BACKOFF_FIRST_S
         while not self._stop.is_set():
             try:
-                self.port.open()
-                self.opened += 1
-                self.state, self.text = DeviceHealth.OPEN, ""
-                self._last_s = time.monotonic()
-                while not self._stop.is_set():
-                    message = self.port.read()
-                    if message is not None:
-                        self._last_s = time.monotonic()
-                        self.bytes_received += size(message)
-                        self._deliver(message)
-                        backoff_s = BACKOFF_FIRST_S
+                self._read_until_lost()
             except DeviceError as error:
                 self.state, self.text = DeviceHealth.LOST, str(error)
-            finally:
-                self.port.close()
-            self._stop.wait(backoff_s)
-            backoff_s = min(2 * backoff_s, BACKOFF_MAX_S)
+            except Exception as error:  # noqa: BLE001  the boundary of a thread: told, not hidden
+                self.state, self.text = DeviceHealth.LOST, f"{self.port.device}: {error!r}"
+                self._deliver(error)
+            self._stop.wait(self._backoff_s)
+            self._backoff_s = min(2 * self._backoff_s, BACKOFF_MAX_S)
+
+    def _read_until_lost(self) -> None:
+        try:
+            self.port.open()
+            self.opened += 1
+            self._last_s = self._monotonic_s()
+            self.state, self.text = DeviceHealth.OPEN, ""
+            while not self._stop.is_set():
+                message = self.port.read()
+                if message is not None:
+                    self._last_s = self._monotonic_s()
+                    self.bytes_received += size(message)
+                    self._deliver(message)
+                    self._backoff_s = BACKOFF_FIRST_S
+        finally:
+            self.port.close()
 
 
 def size(message: RawBytes | CanFrames) -> int:

@@ -63,7 +63,7 @@ class Processor(ABC):
     inputs: ClassVar[tuple[Key, ...]]
     outputs: ClassVar[tuple[Key, ...]]
     pacing: ClassVar[tuple[Key, ...]] = ()
-    """Inputs that move the processor's horizon on; any other may come early without a difference."""
+    """Inputs that move the processor's horizon on; all others may come early: no difference."""
 
     def __init__(self) -> None:
         self._next_sequence: dict[str, int] = {}

@@ -74,9 +74,7 @@ def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> N
         return ProcessorNode(name, vehicle.vehicle, bus, stop, [bridge], [port])
     if name == PROCESSORS or name in names("processors"):
         processors = (
-            make_processors(vehicle)
-            if name == PROCESSORS
-            else [load("processors", name)(vehicle)]
+            make_processors(vehicle) if name == PROCESSORS else [load("processors", name)(vehicle)]
         )
         snapshot_path = vehicle.runtime_dir / SNAPSHOT_FILE if name == PROCESSORS else None
         return ProcessorNode(name, vehicle.vehicle, bus, stop, processors, (), snapshot_path)

@@ -1,4 +1,4 @@
-"""A bounded queue between the bus' or a port's thread and a node's worker: the oldest goes first."""
+"""A bounded queue between a bus' or port's thread and a node's worker: the oldest goes first."""
 
 from __future__ import annotations
 
@@ -57,4 +57,6 @@ class Ring(Generic[T]):
     def ledger(self) -> Ledger:
         """What became of all items; for the thread that takes them out."""
         with self._lock:
-            return Ledger("queue", "items", self.received, self.taken, self.dropped_total, len(self))
+            return Ledger(
+                "queue", "items", self.received, self.taken, self.dropped_total, len(self)
+            )

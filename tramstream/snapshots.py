@@ -38,7 +38,7 @@ def _encode(value: Any) -> Any:
 def _decode(code: int, data: memoryview) -> Any:
     if code != ARRAY:
         raise ValueError(f"a snapshot holds the unknown extension {code}")
-    return np.load(io.BytesIO(bytes(data)), allow_pickle=False)
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
 def pack(state: dict[str, Any]) -> bytes:
@@ -47,7 +47,7 @@ def pack(state: dict[str, Any]) -> bytes:
 
 
 def unpack(data: bytes) -> dict[str, Any]:
-    state: dict[str, Any] = msgspec.msgpack.decode(data, ext_hook=_decode, strict=False)
+    state: dict[str, Any] = msgspec.msgpack.decode(data, ext_hook=_decode)
     return state
 
 
@@ -57,12 +57,21 @@ def take(processors: Sequence[Processor]) -> list[ProcessorState]:
 
 
 def restore(snapshot: Snapshot, processors: Sequence[Processor]) -> bool:
-    """Put the memory back; False, and nothing touched, if it is of other processors."""
+    """Put the memory back; False, and nothing changed, if it is of other processors.
+
+    The same processors of another version count as others: what they remember has another shape.
+    """
     states = {entry.name: entry.state for entry in snapshot.states}
     if set(states) != {processor.name for processor in processors}:
         return False
-    for processor in processors:
-        processor.restore(unpack(states[processor.name]))
+    before = [processor.snapshot() for processor in processors]
+    try:
+        for processor in processors:
+            processor.restore(unpack(states[processor.name]))
+    except Exception:  # noqa: BLE001  whatever an unfit memory breaks: a node must start without it
+        for processor, state in zip(processors, before, strict=True):
+            processor.restore(state)
+        return False
     return True
 
 

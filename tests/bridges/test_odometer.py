@@ -209,6 +209,18 @@ def test_reading_waits_for_all_wheels_and_has_the_stamp_of_the_last(dbc: str) ->
     assert (values.received, values.delivered, values.dropped, values.pending) == (6, 6, 0, 0)
 
 
+def test_silent_wheel_is_left_out_after_a_while_and_taken_back(dbc: str) -> None:
+    node = bridge(dbc, silence_s=0.1)
+    both = [f for ms in range(0, 100, 20) for f in (left(ms, 1), right(ms + 1, 1))]
+    assert len(run(node, both)) == 5
+    alone = run(node, [left(ms, 1) for ms in range(100, 300, 20)])
+    assert all([wheel.wheel for wheel in r.wheels] == ["left"] for r in alone)
+    assert 5 <= len(alone) < 10
+    assert pulses(alone)[-1] == 15
+    again = run(node, [left(300, 1), right(301, 4), left(320, 1)])
+    assert (pulses(again[-1:]), pulses(again[-1:], 1)) == ([17], [9])
+
+
 @pytest.mark.parametrize("step", [0, 1, 700, 2047, -1, -700, -2048])
 def test_counter_is_unwrapped_in_both_directions(dbc: str, step: int) -> None:
     wheel = Wheel(message="LEFT", signal="LEFT_COUNTER", kind="counter", counter_bits=12)

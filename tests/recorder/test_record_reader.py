@@ -13,7 +13,7 @@ from google.protobuf.descriptor_pb2 import (
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
-from record_samples import MS, START_NS, VEHICLE, active, plain, read, traffic, write
+from record_samples import MS, START_NS, VEHICLE, active, append, plain, read, traffic, write
 
 from tramstream import keys
 from tramstream.errors import RecordError
@@ -166,3 +166,18 @@ def test_foreign_file_is_read_and_decoded_by_its_own_description(
         found = [record.decode(entry).speed_mps for entry in record.messages()]
     assert found == list(range(200))
     assert files.package == "far"
+
+
+def test_record_that_is_being_written_is_not_called_damaged(tmp_path):
+    record = RecordFile(tmp_path / "a.mcap", VEHICLE)
+    append(record, traffic(100), 30)
+    record.flush()
+    path = tmp_path / "a.mcap.active"
+    with path.open("ab") as file:
+        file.write(b"\x90half a gua")
+    with open_record(path) as reading:
+        assert not reading.damaged
+        assert reading.message_count == 100
+    record.abandon()
+    with open_record(path) as reading:
+        assert "ends within a record" in reading.damaged

@@ -1,4 +1,4 @@
-"""Compile the `.proto` files beside this module: `python -m tramstream.proto.generate [OUT_DIR]`."""
+"""Compile the `.proto` files beside this: `python -m tramstream.proto.generate [OUT_DIR]`."""
 
 from __future__ import annotations
 

@@ -1,0 +1,119 @@
+"""What the tests of the looking verbs share: the command line, a small record, a bus with traffic."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tramstream import keys
+from tramstream.bus import Envelope, ZenohBus
+from tramstream.clock import S, VehicleClock
+from tramstream.keys import Key
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.health_pb2 import NodeHealth
+from tramstream.recorder.writer import RecordFile
+
+VEHICLE = "4711"
+START_NS = 1_790_000_000 * S
+DEADLINE_S = 30.0
+
+
+def command(*arguments: str) -> list[str]:
+    # -P: a stale tramstream.egg-info in the working directory would hide the verbs.
+    return [sys.executable, "-P", "-m", "tramstream.cli.main", *arguments]
+
+
+def environment(runtime_dir: Path, **more: str) -> dict[str, str]:
+    return {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(runtime_dir), **more}
+
+
+def tramstream(*arguments: object, runtime_dir: Path = Path("/nonexistent"), **more: str):
+    """Run the command line to its end."""
+    return subprocess.run(
+        command(*map(str, arguments)),
+        env=environment(runtime_dir, **more),
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+
+
+def fix(number: int, stamp_ns: int = START_NS) -> GnssFix:
+    return GnssFix(
+        stamp_ns=stamp_ns, sequence=number, source="NAV-PVT", latitude_deg=50 + number / 1000
+    )
+
+
+def envelope(
+    key: Key,
+    message,
+    arrival_ns: int,
+    sequence: int = 1,
+    session: int = 1,
+    publish_ns: int = 0,
+    vehicle: str = VEHICLE,
+) -> Envelope:
+    payload = message if isinstance(message, bytes) else message.SerializeToString()
+    published = publish_ns or arrival_ns
+    topic = key.on(vehicle)
+    return Envelope(topic, payload, key.encoding, published, sequence, session, arrival_ns)
+
+
+def write_fixes(path: Path, numbers: list[int], period_ns: int = S // 5) -> Path:
+    """A record of fixes with these sequence numbers; the numbers give the arrivals."""
+    with RecordFile(path, VEHICLE) as record:
+        for number in numbers:
+            arrival_ns = START_NS + number * period_ns
+            topic = keys.GNSS_FIX.on(VEHICLE)
+            payload = fix(number, arrival_ns).SerializeToString()
+            record.append(topic, keys.GNSS_FIX, payload, arrival_ns, arrival_ns, number)
+    return path
+
+
+@contextmanager
+def short_folder() -> Iterator[Path]:
+    """A folder whose name leaves room for a Unix socket."""
+    folder = Path(tempfile.mkdtemp(prefix="tmst", dir="/tmp"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def busy_bus() -> Iterator[Path]:
+    """A router with one node that publishes a fix and a heartbeat again and again."""
+    with short_folder() as folder:
+        bus = ZenohBus.route(folder, VehicleClock.shared(folder))
+        bus.announce(keys.alive(VEHICLE, "gnss"))
+        stop = threading.Event()
+
+        def publish() -> None:
+            beat = keys.HEARTBEAT.at("gnss")
+            number = 0
+            while not stop.wait(0.02):
+                number += 1
+                now_ns = bus.clock.now_ns()
+                health = NodeHealth(
+                    stamp_ns=now_ns, sequence=number, node="gnss", pid=7, uptime_s=number, cpu_s=1
+                )
+                for key, message in ((keys.GNSS_FIX, fix(number, now_ns)), (beat, health)):
+                    payload = message.SerializeToString()
+                    bus.publish(key.on(VEHICLE), payload, key.encoding, number)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            yield folder
+        finally:
+            stop.set()
+            thread.join()
+            bus.close()

@@ -1,0 +1,338 @@
+"""Whole rides: real processes, pseudo terminals, zenoh and files, from the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tramstream import keys
+from tramstream.cli.demo import configuration
+from tramstream.recorder.reader import open_record
+
+pytestmark = pytest.mark.live
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+DEADLINE_S = 60.0
+
+
+def tramstream(*arguments: str, status: int = 0, **options: Any) -> str:
+    """Run the program as a user would; return its standard output."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tramstream.cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        **options,
+    )
+    assert done.returncode == status, done.stdout + done.stderr
+    return done.stdout
+
+
+def wait_for(condition: Callable[[], Any], what: str) -> Any:
+    """Poll until the condition holds; fail by name after the deadline."""
+    end_s = time.monotonic() + DEADLINE_S
+    while time.monotonic() < end_s:
+        result = condition()
+        if result:
+            return result
+        time.sleep(0.05)
+    raise AssertionError(f"waited {DEADLINE_S:.0f} s for {what}")
+
+
+@pytest.fixture(scope="module")
+def ride(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """A demo ride of a few seconds at five times real time, faults included, and its figures."""
+    path = tmp_path_factory.mktemp("ride") / "d.mcap"
+    text = tramstream(
+        *("demo", "--duration-s", "45", "--rate", "2.5", "--headless", "--json"),
+        *("--out", str(path)),
+    )
+    yield path, json.loads(text)
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder whose path is short enough for a Unix socket."""
+    with tempfile.TemporaryDirectory(prefix="tram-", dir="/tmp") as name:
+        yield Path(name)
+
+
+def test_demo_loses_nothing_and_finds_every_injected_fault(ride: Any) -> None:
+    _, figures = ride
+    assert figures["lost"] == 0
+    assert figures["unbalanced"] == []
+    injected, found = figures["injected"], figures["found"]
+    assert injected["ride.imu frames_corrupted"] == 3
+    assert found["imu frames rejected"] == injected["ride.imu frames_corrupted"]
+    lost = injected["ride.imu frames_corrupted"] + injected["ride.imu samples_dropped"]
+    assert found["imu samples lost"] == lost
+    assert found["gnss opened again"] >= 1
+    assert found["gnss frames rejected"] >= injected["ride.gnss checksums_spoilt"]
+    assert found["odometer frames rejected"] == injected["ride.can lines_damaged"]
+
+
+def test_demo_estimates_the_distance_that_was_travelled(ride: Any) -> None:
+    _, figures = ride
+    assert figures["distance_m"] > 50.0
+    assert abs(figures["distance_end_m"]) < 0.1
+    assert figures["distance_rms_m"] < 0.1
+
+
+def test_reprocessing_twice_is_identical_to_the_ride_and_to_itself(
+    ride: Any, tmp_path: Path
+) -> None:
+    path, _ = ride
+    outputs = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for out in outputs:
+        text = tramstream("reprocess", str(path), "-o", str(out), "--check", "--json")
+        figures = json.loads(text)
+        assert figures["identical"]
+        assert figures["compared"] > 1000
+        assert figures["unanchored"] == 0
+        assert figures["inputs_missing"] == {}
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+
+
+def test_check_fails_when_the_processors_are_configured_differently(
+    ride: Any, tmp_path: Path
+) -> None:
+    path, _ = ride
+    config = tmp_path / "other.toml"
+    config.write_text(
+        configuration(tmp_path, 7) + "\n[distance]\nm_per_pulse = 0.00093\n"
+    )
+    out = str(tmp_path / "o.mcap")
+    arguments = ("reprocess", str(path), "-o", out, "--config", str(config), "--check", "--json")
+    figures = json.loads(tramstream(*arguments, status=1))
+    assert not figures["identical"]
+    assert all(text.startswith(keys.EST_DISTANCE.path) for text in figures["differences"])
+
+
+def test_part_of_a_ride_is_reprocessed_from_its_first_snapshot(ride: Any, tmp_path: Path) -> None:
+    """As with a split recording whose first part is gone."""
+    from tramstream.recorder.writer import RecordFile
+
+    path, _ = ride
+    part = tmp_path / "part.mcap"
+    with open_record(path) as record:
+        middle_ns = (record.start_ns + record.end_ns) // 2
+        metadata = {"config": record.metadata["config"]}
+        with RecordFile(part, record.vehicle, metadata) as target:
+            for entry in record.messages(start_ns=middle_ns):
+                key = keys.find(keys.split(entry.topic)[1])
+                assert key is not None
+                target.append(
+                    entry.topic, key, entry.payload, entry.log_ns, entry.publish_ns, entry.sequence
+                )
+    text = tramstream("reprocess", str(part), "-o", str(tmp_path / "r.mcap"), "--check", "--json")
+    assert json.loads(text)["identical"]
+
+
+def test_replay_gives_every_message_to_a_recorder_that_listens(
+    ride: Any, folder: Path
+) -> None:
+    path, _ = ride
+    environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
+    router = subprocess.Popen(
+        [sys.executable, "-m", "tramstream.cli.main", "replay", str(path), "--start-paused"],
+        env=environment,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        wait_for((folder / "run" / "bus.sock").exists, "the first replay's bus")
+        recorder = subprocess.Popen(
+            [sys.executable, "-m", "tramstream.cli.main", "record", "--out", str(folder / "out")]
+            + ["--vehicle", "copy"],
+            env=environment,
+            stderr=subprocess.PIPE,
+        )
+        wait_for(lambda: list((folder / "out").glob("*.active")) or recorder.poll(), "the recorder")
+        text = tramstream("replay", str(path), "--rate", "0", "--as", "copy", "--json",
+                          "--onto-live", env=environment)  # fmt: skip
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(30) == 0
+    finally:
+        router.send_signal(signal.SIGINT)
+        router.wait(30)
+    published = json.loads(text)["published"]
+    with open_record(path) as first, open_record(folder / "out") as second:
+        assert first.message_count == published
+        for topic, info in first.channels.items():
+            if "/health/recorder/" in topic:
+                continue  # the second recorder's own are among them
+            copied = second.channels[topic.replace("tram/demo/", "tram/copy/")]
+            assert copied.count == info.count, topic
+
+
+def test_replay_refuses_keys_of_a_live_vehicle(ride: Any, folder: Path) -> None:
+    path, _ = ride
+    environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
+    first = subprocess.Popen(
+        [sys.executable, "-m", "tramstream.cli.main", "replay", str(path), "--loop"],
+        env=environment,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        wait_for((folder / "run" / "bus.sock").exists, "the first replay's bus")
+
+        def refused() -> bool:
+            done = subprocess.run(
+                [sys.executable, "-m", "tramstream.cli.main", "replay", str(path)]
+                + ["--duration-s", "0.1"],
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            return done.returncode == 2 and "is live on this bus" in done.stderr
+
+        wait_for(refused, "a refusal")
+    finally:
+        first.send_signal(signal.SIGINT)
+        assert first.wait(30) == 0
+
+
+class Running:
+    """`tramstream run` as a child process, and its nodes found by name."""
+
+    def __init__(self, config: Path, folder: Path) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tramstream.cli.main", "run", str(config)],
+            stderr=(folder / "log.txt").open("w"),
+        )
+
+    def node(self, name: str) -> int:
+        """Process of a node; 0 if it is not there."""
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                if (entry / "comm").read_text().strip() != f"tram-{name}"[:15]:
+                    continue
+                if self._is_ours(int(entry.name)):
+                    return int(entry.name)
+            except OSError:
+                continue
+        return 0
+
+    def _is_ours(self, pid: int) -> bool:
+        """Whether the fork server that made `pid` is a child of our program."""
+        parent = int(Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()[1])
+        if parent <= 1:
+            return False
+        status = Path(f"/proc/{parent}/stat").read_text()
+        return int(status.rsplit(") ", 1)[1].split()[1]) == self.process.pid
+
+    def end(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(60) == 0, (self.folder / "log.txt").read_text()
+
+
+@pytest.fixture
+def running(folder: Path) -> Iterator[Running]:
+    config = folder / "ride.toml"
+    config.write_text(configuration(folder, seed=3))
+    run = Running(config, folder)
+    yield run
+    if run.process.poll() is None:
+        run.process.kill()
+        run.process.wait()
+
+
+def test_nodes_outlive_each_other_and_the_ride_is_repeated_across_the_crash(
+    running: Running, folder: Path, tmp_path: Path
+) -> None:
+    names = ("recorder", "processors", "gnss", "imu", "odometer")
+    before = wait_for(
+        lambda: all(pids := {n: running.node(n) for n in names}.values()) and pids, "all nodes"
+    )
+    assert before is not None
+    pids = {name: running.node(name) for name in names}
+    active = wait_for(lambda: list((folder / "records").glob("*.active")), "a record")[0]
+    wait_for(lambda: active.stat().st_size > 200_000, "a few seconds of record")
+
+    os.kill(pids["processors"], signal.SIGKILL)
+    wait_for(lambda: running.node("processors") not in (0, pids["processors"]), "new processors")
+    size = active.stat().st_size
+    wait_for(lambda: active.stat().st_size > size + 150_000, "more record")
+    assert [running.node(n) for n in names if n != "processors"] == [
+        pids[n] for n in names if n != "processors"
+    ]
+
+    os.kill(pids["imu"], signal.SIGKILL)
+    wait_for(lambda: running.node("imu") not in (0, pids["imu"]), "a new imu bridge")
+    size = active.stat().st_size
+    wait_for(lambda: active.stat().st_size > size + 150_000, "more record")
+    assert running.node("recorder") == pids["recorder"]
+    running.end()
+
+    text = tramstream(
+        *("reprocess", str(folder / "records"), "-o", str(tmp_path / "r.mcap")),
+        *("--check", "--json"),
+    )
+    figures = json.loads(text)
+    assert figures["sessions"] == 2
+    assert figures["identical"]
+
+
+def test_killed_recorder_is_started_again_and_its_record_repaired(
+    running: Running, folder: Path
+) -> None:
+    first = wait_for(lambda: running.node("recorder"), "the recorder")
+    active = wait_for(lambda: list((folder / "records").glob("*.active")), "a record")[0]
+    wait_for(lambda: active.stat().st_size > 100_000, "some record")
+    others = {name: running.node(name) for name in ("processors", "imu")}
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: running.node("recorder") not in (0, first), "a new recorder")
+    finished = active.with_name(active.name.removesuffix(".active"))
+    wait_for(finished.exists, "the repaired record")
+    assert {name: running.node(name) for name in others} == others
+    running.end()
+    assert len(list((folder / "records").glob("*.mcap"))) == 2
+    with open_record(folder / "records") as record:
+        assert record.damages == []
+
+
+def test_nodes_end_when_their_supervisor_is_killed(running: Running) -> None:
+    names = ("recorder", "processors", "gnss", "imu", "odometer", "simulators")
+    wait_for(lambda: all(running.node(name) for name in names), "all nodes")
+    pids = [running.node(name) for name in names]
+    running.process.kill()
+    running.process.wait()
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the nodes to end")
+
+
+@pytest.mark.realdata
+def test_captured_bytes_run_through_the_whole_vehicle(data_dir: Path, folder: Path) -> None:
+    text = (REPOSITORY / "docs" / "captures.toml").read_text()
+    text = text.replace("../../shared/data", str(data_dir.resolve()))
+    config = folder / "captures.toml"
+    config.write_text(text.replace("/tmp/tramstream-captures", str(folder)))
+    tramstream("run", str(config), "--duration-s", "8")
+    with open_record(folder / "records") as record:
+        counts = {keys.split(topic)[1]: info.count for topic, info in record.channels.items()}
+        assert counts[keys.GNSS_FIX.path] >= 5
+        assert counts[keys.GNSS_LOCATION.path] >= 5
+        assert counts[keys.ODO_WHEELS.path] > 300
+        assert counts[keys.IMU_BATCH.path] > 400
+        assert counts[keys.EST_DISTANCE.path] > 200
+        lost = [name for name in counts if name.endswith("/loss")]
+        assert lost == []
+        wheels = [
+            wheel.speed_mps
+            for entry in record.messages(lambda topic: topic.endswith(keys.ODO_WHEELS.path))
+            for wheel in record.decode(entry).wheels
+        ]
+        assert 5.0 < min(wheels) < max(wheels) < 30.0
