@@ -180,9 +180,10 @@ def kernel_clock_is_synchronised() -> bool:
 
 
 # Disk ---------------------------------------------------------------------------------------------
-def check_disk(folder: Path, floor_bytes: int, flush_s: float = Recorder.flush_s) -> list[Finding]:
-    """Whether records can be written to `folder`, for how long, and how fast they are safe."""
-    name = "records"
+def check_disk(settings: Recorder) -> list[Finding]:
+    """Whether records can be written, for how long, and how fast they are safe."""
+    name, folder = "records", Path(settings.directory)
+    floor_bytes = settings.free_space_floor_bytes
     there = _nearest(folder)
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         cure = "give this user the right to write there, or change $.recorder.directory"
@@ -198,7 +199,7 @@ def check_disk(folder: Path, floor_bytes: int, flush_s: float = Recorder.flush_s
         found = [warning(name, text, cure)]
     else:
         found = [ok(name, f"{text}, enough for about {hours:.0f} h before the oldest are deleted")]
-    return [*found, _check_sync(there, flush_s)]
+    return [*found, _check_sync(there, settings.flush_s)]
 
 
 def _check_sync(folder: Path, flush_s: float) -> Finding:

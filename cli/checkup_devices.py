@@ -21,7 +21,7 @@ from tramstream.errors import ConfigError, DeviceError, TramstreamError
 from tramstream.ports import size
 from tramstream.processor import Sample
 
-LISTEN_S = 2.0
+LISTEN_S = 3.0
 """Every device of a tram has said something twice by then."""
 BY_ID = Path("/dev/serial/by-id")
 _CAN_TYPE = "280"

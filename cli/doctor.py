@@ -22,7 +22,7 @@ def doctor(
 ) -> None:
     """Check ports, rights, disk, clock and bus; each failure names its cure.
 
-    Devices are opened, listened to for two seconds and closed, unless a running node has them.
+    Devices are opened, listened to for up to three seconds and closed, unless a running node has them.
     Nothing is changed. The exit status is 1 if anything fails.
     """
     import shutil
@@ -70,8 +70,7 @@ def _findings(config: Path | None) -> Iterator[Finding]:
     yield from found
     yield from checkup.check_clock(folder)
     recorder = vehicle.recorder if vehicle is not None else Recorder()
-    floor_bytes = recorder.free_space_floor_bytes
-    yield from checkup.check_disk(Path(recorder.directory), floor_bytes, recorder.flush_s)
+    yield from checkup.check_disk(recorder)
     yield from checkup_devices.check_serial()
     yield from checkup_devices.check_can_interfaces()
     if vehicle is not None:

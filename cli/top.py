@@ -11,7 +11,7 @@ import typer
 from tramstream.cli.options import JsonOption, VehicleOption
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, RenderableType
 
     from tramstream.bus import Bus
     from tramstream.cli.stats import Stats
@@ -94,15 +94,17 @@ def render(
 
 
 @contextmanager
-def live_screen(bus: Bus, vehicle: str, title: str = "") -> Iterator[Callable[[], None]]:
+def live_screen(
+    bus: Bus, vehicle: str, title: str = "", console: Console | None = None
+) -> Iterator[Callable[[], None]]:
     """The terminal's alternate screen; call what it gives often, it refreshes at 4 Hz."""
     import time
 
-    from rich.console import Console
+    from rich import get_console
     from rich.live import Live
 
     watch = Watch(bus, vehicle)
-    console = Console(highlight=False)
+    console = console or get_console()
     due_s = 0.0
     with Live(console=console, screen=True, auto_refresh=False) as live:
 

@@ -5,7 +5,8 @@ speed, and the receiver's speed over ground, as speed. Each step predicts over t
 between the stamps. A measurement outside the gate is reported and not used.
 
 The wheels' path is *tied* to the estimate with its first reading, and anew when it jumps (a
-restarted bridge, a reset controller), when other wheels make it up, and after many refusals. What
+restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
+and after many refusals. What
 the estimate was wrong by at a tie stays in the distance for good: its variance is *settled*, kept
 beside the filter, whose P speaks of the path since the tie.
 """
@@ -37,6 +38,8 @@ GNSS_SPEED_FLOOR_MPS = 0.1
 QUANTISATION = 1.0 / 3.0
 """Variance of a pulse count in pulses²: 1/12 in theory, 1/3 works better at low speed (theory.md
 section 2)."""
+MAX_PAUSE_S = 0.5
+"""After a longer pause of the wheels, a path that does not fit has been counted without us."""
 MAX_STEP_S = 60.0
 """After a longer pause the speed is unknown again."""
 MAX_REFUSALS = 50
@@ -126,7 +129,11 @@ class DistanceFilter(Processor):
         # The path speaks for the wheels: after a slip their speed is right again, the path is not.
         self._refusals = 0 if found[0].accepted else self._refusals + 1
         if self._refusals >= MAX_REFUSALS:
-            self._restart_speed()
+            if any(innovation.accepted for innovation in found):
+                self._offset_m = None  # the speed is right, so the path is wrong
+                self._refusals = 0
+            else:
+                self._restart_speed()
         return found
 
     def _take_path(self, counting: list[WheelReading], stamp_ns: int) -> Innovation:
@@ -134,12 +141,18 @@ class DistanceFilter(Processor):
         path_m = sum([wheel.pulses for wheel in counting]) / count * self._m_per_pulse
         variance = self._m_per_pulse**2 * QUANTISATION / count
         wheels = [wheel.wheel for wheel in counting]
-        if wheels != self._wheels or self._jumped(path_m, stamp_ns):
+        pause_s = (stamp_ns - self._path_ns) / S
+        jumped = abs(path_m - self._path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)
+        if wheels != self._wheels or jumped:
             self._offset_m = None
         self._wheels, self._path_m, self._path_ns = wheels, path_m, stamp_ns
         if self._offset_m is None:
             return self._tie(path_m, variance)
-        return self._update("wheel_path", path_m + self._offset_m, kalman1d.POSITION, variance)
+        z = path_m + self._offset_m
+        innovation = self._update("wheel_path", z, kalman1d.POSITION, variance)
+        if not innovation.accepted and pause_s > MAX_PAUSE_S:
+            return self._tie(path_m, variance)
+        return innovation
 
     def _tie(self, path_m: float, variance: float) -> Innovation:
         """Count the wheels' path from the estimate on."""
@@ -148,10 +161,6 @@ class DistanceFilter(Processor):
         self._kalman.P = np.diag([variance, float(P[1, 1])])
         self._offset_m = float(self._kalman.x[0, 0]) - path_m
         return Innovation(measurement="wheel_path", value=0.0, variance=variance, accepted=True)
-
-    def _jumped(self, path_m: float, stamp_ns: int) -> bool:
-        dt_s = (stamp_ns - self._path_ns) / S
-        return abs(path_m - self._path_m) > MAX_SPEED_MPS * max(dt_s, MIN_JUMP_S)
 
     def _take_fix(self, fix: GnssFix) -> list[Innovation]:
         if not fix.valid:

@@ -1,4 +1,4 @@
-"""What the tests of the looking verbs share: the command line, a small record, a bus with traffic."""
+"""What the tests of the looking verbs share: command line, small records, a busy bus."""
 
 from __future__ import annotations
 

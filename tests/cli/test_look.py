@@ -9,6 +9,7 @@ import statistics
 import subprocess
 import sys
 from importlib.metadata import entry_points
+from itertools import pairwise
 
 import pytest
 from looking import (
@@ -17,8 +18,8 @@ from looking import (
     VEHICLE,
     busy_bus,
     command,
-    environment,
     envelope,
+    environment,
     fix,
     short_folder,
     tramstream,
@@ -73,7 +74,9 @@ def test_expression_that_meets_a_defined_key_is_known(pattern):
     assert look.is_defined(pattern)
 
 
-@pytest.mark.parametrize("pattern", ["raw/gnss/fixes", "raw/gnss", "raw", "health/a/b/loss", "x/**"])
+@pytest.mark.parametrize(
+    "pattern", ["raw/gnss/fixes", "raw/gnss", "raw", "health/a/b/loss", "x/**"]
+)
 def test_expression_that_meets_no_defined_key_is_unknown(pattern):
     assert not look.is_defined(pattern)
 
@@ -98,7 +101,7 @@ def test_total_figures_agree_with_the_statistics_module():
     sizes = [len(fix(number).SerializeToString()) for number in range(300)]
     for number, time_ns in enumerate(times):
         stats.add(envelope(keys.GNSS_FIX, fix(number), time_ns, number))
-    periods = [(after - before) / S for before, after in zip(times, times[1:], strict=False)]
+    periods = [(after - before) / S for before, after in pairwise(times)]
     total = stats.total()
     assert total.count == 300
     assert total.rate_hz == pytest.approx(1 / statistics.mean(periods))

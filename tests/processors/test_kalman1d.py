@@ -30,7 +30,9 @@ def assert_same(ours: kalman1d.TwoStateFilter, theirs: KalmanFilter) -> None:
         if name == "z":
             reference = np.reshape(reference, (1, 1))
         assert np.shape(mine) == np.shape(reference), name
-        scale = np.abs(np.asarray(reference, dtype=float)).max() if reference[0][0] is not None else 1
+        scale = (
+            np.abs(np.asarray(reference, dtype=float)).max() if reference[0][0] is not None else 1
+        )
         np.testing.assert_allclose(
             np.asarray(mine, dtype=float),
             np.asarray(reference, dtype=float),
