@@ -6,10 +6,9 @@ What matters most comes first: the line may be cut.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
 from tramstream.cli.columns import clipped, lasting, scaled
@@ -34,8 +33,8 @@ def digest(message: Message | None) -> str:
     return short(message) if short is not None else _first_fields(message)
 
 
-def _xyz(x: float, y: float, z: float, digits: int) -> str:
-    return " ".join(f"{value:+.{digits}f}" for value in (x, y, z))
+def _xyz(values: Iterable[float], digits: int) -> str:
+    return " ".join(f"{value:+.{digits}f}" for value in values)
 
 
 def _place(message: Any) -> str:
@@ -115,16 +114,17 @@ def _imu_batch(message: Any) -> str:
     temperature_degc = message.temperature_scale_degc * message.temperature
     flags = f"  DIAG {message.diag_stat:04X}" if message.diag_stat else ""
     return (
-        f"a {_xyz(*accel, digits=2)} m/s²  ω {_xyz(*gyro, digits=1)} mrad/s  "
+        f"a {_xyz(accel, 2)} m/s²  ω {_xyz(gyro, 1)} mrad/s  "
         f"{count} × {temperature_degc:.1f} °C{flags}"
     )
 
 
 def _imu_mean(message: Any) -> str:
-    accel = _xyz(message.accel_x_mps2, message.accel_y_mps2, message.accel_z_mps2, 2)
+    accel = (message.accel_x_mps2, message.accel_y_mps2, message.accel_z_mps2)
     gyro = (message.gyro_x_radps, message.gyro_y_radps, message.gyro_z_radps)
     bridged = f"  {message.bridged_count} bridged" if message.bridged_count else ""
-    return f"a {accel} m/s²  ω {_xyz(*(1e3 * rate for rate in gyro), 1)} mrad/s{bridged}"
+    rates = _xyz((1e3 * rate for rate in gyro), 1)
+    return f"a {_xyz(accel, 2)} m/s²  ω {rates} mrad/s{bridged}"
 
 
 def _odometry(message: Any) -> str:
@@ -221,7 +221,7 @@ def _first_fields(message: Message) -> str:
     return "  ".join(parts)
 
 
-def _field(message: Message, field: FieldDescriptor) -> list[str]:
+def _field(message: Message, field: Any) -> list[str]:
     if field.has_presence and not message.HasField(field.name):
         return []
     value = getattr(message, field.name)

@@ -22,8 +22,8 @@ def doctor(
 ) -> None:
     """Check ports, rights, disk, clock and bus; each failure names its cure.
 
-    Devices are opened, listened to for up to three seconds and closed, unless a running node has them.
-    Nothing is changed. The exit status is 1 if anything fails.
+    Devices are opened, listened to for up to three seconds and closed, unless a running node has
+    them. Nothing is changed. The exit status is 1 if anything fails.
     """
     import shutil
     import sys

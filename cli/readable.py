@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
 from tramstream.clock import S
@@ -56,7 +55,7 @@ def _fields(message: Message, full: bool, skipped: frozenset[str] = frozenset())
             yield from _text_lines(field.name, _scalar(field, value, full))
 
 
-def _repeated(field: FieldDescriptor, values: Any, full: bool) -> Iterator[str]:
+def _repeated(field: Any, values: Any, full: bool) -> Iterator[str]:
     shown = values if full else values[:SHOWN_ITEMS]
     rest = len(values) - len(shown)
     if field.message_type is None:
@@ -82,7 +81,7 @@ def _text_lines(name: str, text: str) -> Iterator[str]:
     yield from (f"  {part}" for part in text.rstrip("\n").split("\n"))
 
 
-def _scalar(field: FieldDescriptor, value: Any, full: bool) -> str:
+def _scalar(field: Any, value: Any, full: bool) -> str:
     if isinstance(value, bytes):
         shown = value if full else value[:SHOWN_BYTES]
         return shown.hex(" ") + (f" … {len(value)} bytes" if len(shown) < len(value) else "")

@@ -40,8 +40,8 @@ class Reporter:
         figures = [key.recent(now_ns) if self._source.live else key.total() for key in found]
         if self._json:
             for key, of_key in zip(found, figures, strict=True):
-                name = {"key": self._source.shown(key.topic)}
-                print(line(name | self._sheet.data(key, of_key)), flush=True)
+                row = {"key": self._source.shown(key.topic), **self._sheet.data(key, of_key)}
+                print(line(row), flush=True)
             return
         names = [self._source.shown(key.topic) for key in found]
         rows = [["key", *self._sheet.head]]

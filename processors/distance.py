@@ -6,9 +6,8 @@ between the stamps. A measurement outside the gate is reported and not used.
 
 The wheels' path is *tied* to the estimate with its first reading, and anew when it jumps (a
 restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
-and after many refusals. What
-the estimate was wrong by at a tie stays in the distance for good: its variance is *settled*, kept
-beside the filter, whose P speaks of the path since the tie.
+and after many refusals. What the estimate was wrong by at a tie stays in the distance for good: its
+variance is *settled*, kept beside the filter, whose P speaks of the path since the tie.
 """
 
 from __future__ import annotations

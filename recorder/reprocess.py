@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ SETTLE_NS = 2 * S
 SYNTHETIC_TICK_NS = S // 10
 EARLY_NS = S
 """How far ahead of the horizon measurements are fed where no tick says what the live run had."""
-CONSUMER = "processors"
+RECORDER = "recorder"
 
 
 class Made(NamedTuple):
@@ -70,14 +70,13 @@ class Plan:
         return bool(self.sessions)
 
 
-def read_plan(record: Record) -> Plan:
-    """Collect snapshots, late samples and losses."""
+def read_plan(record: Record, consumers: Collection[str]) -> Plan:
+    """Collect snapshots, late samples and losses; `consumers` are the nodes that run processors."""
     plan = Plan()
     controls = {
         keys.SYNC_SNAPSHOT.path,
         keys.SYNC_LATE.path,
-        keys.LOSS.at(CONSUMER).path,
-        keys.LOSS.at("recorder").path,
+        *(keys.LOSS.at(node).path for node in (RECORDER, *consumers)),
     }
     for entry in record.messages(lambda topic: keys.split(topic)[1] in controls):
         path = keys.split(entry.topic)[1]
@@ -100,7 +99,7 @@ def _see_snapshot(plan: Plan, snapshot: Snapshot, publish_ns: int) -> None:
 
 def _see_loss(plan: Plan, loss: Loss) -> None:
     path = keys.split(loss.key)[1]
-    if loss.consumer == CONSUMER:
+    if loss.consumer != RECORDER:
         plan.skip.setdefault(path, []).append((loss.after_publish_ns, loss.before_publish_ns))
     else:
         plan.recorder_lost[path] = plan.recorder_lost.get(path, 0) + loss.count
@@ -198,7 +197,8 @@ class Reprocessor:
 
     def _begin(self, index: int) -> None:
         snapshot = self._plan.sessions[index].snapshot
-        if not snapshots.restore(snapshot, self._processors):
+        # With `run --separate` only the resampler's process makes snapshots; the others began fresh.
+        if not snapshots.restore(snapshot, self._processors, some=True):
             recorded = ", ".join(state.name for state in snapshot.states)
             ours = ", ".join(processor.name for processor in self._processors)
             raise RecordError(

@@ -83,7 +83,8 @@ def rerun(
     """
     with open_record(source) as record:
         vehicle = configs.load(config) if config is not None else vehicle_of(record, source)
-        plan = Plan() if fresh else read_plan(record)
+        consumers = {registry.PROCESSORS, *registry.names("processors")}
+        plan = Plan() if fresh else read_plan(record, consumers)
         processors = _processors(vehicle, plan)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")

@@ -287,6 +287,19 @@ def test_nodes_outlive_each_other_and_the_ride_is_repeated_across_the_crash(
     assert figures["identical"]
 
 
+def test_separate_processors_give_a_ride_that_is_repeated_as_well(
+    folder: Path, tmp_path: Path
+) -> None:
+    config = folder / "ride.toml"
+    config.write_text(configuration(folder, seed=4))
+    tramstream("run", str(config), "--separate", "--duration-s", "6")
+    text = tramstream(
+        *("reprocess", str(folder / "records"), "-o", str(tmp_path / "r.mcap")),
+        *("--check", "--json"),
+    )
+    assert json.loads(text)["identical"]
+
+
 def test_killed_recorder_is_started_again_and_its_record_repaired(
     running: Running, folder: Path
 ) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import hashlib
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -284,3 +285,8 @@ def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
 def _device(name: str, folder: Path) -> str:
     """A path with a slash in it is relative to the configuration; `can0` is an interface."""
     return str((folder / name).absolute()) if "/" in name and "://" not in name else name
+
+
+def digest(vehicle: Vehicle) -> str:
+    """Short name of a configuration: equal for equal ones."""
+    return hashlib.sha256(msgspec.json.encode(vehicle)).hexdigest()[:16]

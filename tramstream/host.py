@@ -45,6 +45,8 @@ class ProcessorNode(Node):
         Their raw messages are stepped through the processors and published.
     snapshot_path : Path or None
         Where the memory is kept for a restart; None keeps none.
+    configuration : str
+        Digest of the processors' configuration: memory made with another one is not taken back.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class ProcessorNode(Node):
         processors: Sequence[Processor],
         ports: Sequence[Port] = (),
         snapshot_path: Path | None = None,
+        configuration: str = "",
     ) -> None:
         super().__init__(name, vehicle, bus, stop)
         self.processors = list(processors)
@@ -73,6 +76,7 @@ class ProcessorNode(Node):
         self._tick_ns = 0
         self._session = int.from_bytes(os.urandom(8), "little")
         self._snapshot_path = snapshot_path
+        self._configuration = configuration
         self._last_snapshot_ns = 0
 
     # Setting up ----------------------------------------------------------------------------------
@@ -116,11 +120,12 @@ class ProcessorNode(Node):
             self.log(sentence)
         if state is None:
             return
-        if snapshots.restore(state, self.processors):
+        same = state.configuration == self._configuration
+        if same and snapshots.restore(state, self.processors):
             self._tick_sequence = state.tick_sequence
             self.log(f"{self.name} goes on from the memory of its predecessor")
         else:
-            self.log(f"{self._snapshot_path}: the memory of other processors; starting afresh")
+            self.log(f"{self._snapshot_path}: of other processors or another configuration; starting afresh")
 
     # One item ------------------------------------------------------------------------------------
     def _from_port(self, port: Port) -> Any:
@@ -202,6 +207,7 @@ class ProcessorNode(Node):
             tick_sequence=self._tick_sequence,
             positions=self._positions.values(),
             states=snapshots.take(self.processors),
+            configuration=self._configuration,
         )
         self.publish(keys.SYNC_SNAPSHOT, message)
         if self._snapshot_path is not None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from tramstream import config
 from tramstream.bus import Bus
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
@@ -77,7 +78,10 @@ def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> N
             make_processors(vehicle) if name == PROCESSORS else [load("processors", name)(vehicle)]
         )
         snapshot_path = vehicle.runtime_dir / SNAPSHOT_FILE if name == PROCESSORS else None
-        return ProcessorNode(name, vehicle.vehicle, bus, stop, processors, (), snapshot_path)
+        digest = config.digest(vehicle)
+        return ProcessorNode(
+            name, vehicle.vehicle, bus, stop, processors, (), snapshot_path, digest
+        )
     if name in names("nodes"):
         build: Callable[[Vehicle, Bus, threading.Event], Node] = load("nodes", name)
         return build(vehicle, bus, stop)

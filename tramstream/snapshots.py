@@ -56,14 +56,19 @@ def take(processors: Sequence[Processor]) -> list[ProcessorState]:
     return [ProcessorState(name=p.name, state=pack(p.snapshot())) for p in processors]
 
 
-def restore(snapshot: Snapshot, processors: Sequence[Processor]) -> bool:
+def restore(
+    snapshot: Snapshot, processors: Sequence[Processor], some: bool = False
+) -> bool:
     """Put the memory back; False, and nothing changed, if it is of other processors.
 
     The same processors of another version count as others: what they remember has another shape.
+    With `some`, processors that the snapshot does not know keep the memory they have.
     """
     states = {entry.name: entry.state for entry in snapshot.states}
-    if set(states) != {processor.name for processor in processors}:
+    ours = {processor.name for processor in processors}
+    if not set(states) <= ours or (set(states) != ours and not some):
         return False
+    processors = [processor for processor in processors if processor.name in states]
     before = [processor.snapshot() for processor in processors]
     try:
         for processor in processors:

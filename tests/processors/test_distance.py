@@ -82,7 +82,7 @@ def errors_m(found: list[DistanceState], motion: Motion) -> np.ndarray:
     return np.array([state.distance_m - motion((state.stamp_ns - START_NS) / S) for state in found])
 
 
-# On a ride ------------------------------------------------------------------------------------------
+# On a ride ----------------------------------------------------------------------------------------
 def test_quantised_pulses_give_distance_within_two_pulses_and_the_speed() -> None:
     found = states(step_all(distance_filter(), wheel_frames(departure, 0.0, 35.0)))
     assert len(found) == 35 * 50
@@ -145,7 +145,7 @@ def test_backward_motion_is_counted_backwards_and_gnss_speed_follows_its_sign() 
     assert min(state.speed_mps for state in found) == pytest.approx(-10.0, abs=0.05)
 
 
-# Consistency ----------------------------------------------------------------------------------------
+# Consistency --------------------------------------------------------------------------------------
 ACCELERATION_STD_MPS2 = 0.8
 COARSE_M_PER_PULSE = 0.05
 
@@ -199,7 +199,7 @@ def test_published_deviations_are_those_of_the_covariance() -> None:
         )
 
 
-# Faults ---------------------------------------------------------------------------------------------
+# Faults -------------------------------------------------------------------------------------------
 def test_reset_counter_goes_on_from_the_estimate() -> None:
     before = wheel_frames(departure, 0.0, 15.0)
     after = wheel_frames(departure, 15.0, 35.0, offset=-pulses_of(departure, 15.0))
@@ -334,7 +334,7 @@ def test_reversed_stamps_neither_raise_nor_turn_time_back() -> None:
     assert len({state.stamp_ns for state in found}) == 1
 
 
-# Memory ---------------------------------------------------------------------------------------------
+# Memory -------------------------------------------------------------------------------------------
 def eventful() -> list[Sample]:
     """Wheels, fixes, a reset, a spike, a loss, invalid fixes."""
     return merged(

@@ -57,7 +57,7 @@ def merged(*streams: list[Sample]) -> list[Sample]:
     return sorted((sample for stream in streams for sample in stream), key=lambda s: s.stamp_ns)
 
 
-# Means and frames --------------------------------------------------------------------------------
+# Means and frames ---------------------------------------------------------------------------------
 def test_means_are_in_si_and_stamped_at_their_centre() -> None:
     counts = noise(400)
     means = messages(step_all(resampler(), batches(counts)), keys.SYNC_IMU)
@@ -107,7 +107,7 @@ def test_a_rate_that_the_cut_off_does_not_fit_is_refused_by_name() -> None:
         resampler(method="lowpass", cutoff_hz=50.0)
 
 
-# Any cut and any order -----------------------------------------------------------------------------
+# Any cut and any order ----------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
 @settings(max_examples=20, deadline=None)
 @given(sizes=st.lists(st.integers(1, 73), max_size=40))
@@ -146,7 +146,7 @@ def test_measurements_of_one_instant_keep_their_order_and_may_even_be_equal() ->
     assert sum(len(frame.odometry) for frame in messages(outputs, keys.SYNC_FRAME)) == 3
 
 
-# Gaps ----------------------------------------------------------------------------------------------
+# Gaps ---------------------------------------------------------------------------------------------
 def with_gap(missing: int, counts: np.ndarray) -> list[Sample]:
     """Batches of 20; `missing` samples after sample 400 never come."""
     resume = 400 + missing
@@ -317,7 +317,7 @@ def test_run_that_overlaps_the_one_before_leaves_the_frames_ascending() -> None:
     assert len(stamps) > 80
 
 
-# Silence --------------------------------------------------------------------------------------------
+# Silence ------------------------------------------------------------------------------------------
 def test_ticks_move_the_horizon_while_there_is_no_inertial_data() -> None:
     sent = measurements(START_NS + 2 * S)
     ticks = [tick(START_NS + index * 100 * MS) for index in range(30)]
@@ -383,7 +383,7 @@ def test_empty_batch_changes_nothing() -> None:
     assert processor.ledgers()[0].received == 0
 
 
-# Memory ---------------------------------------------------------------------------------------------
+# Memory -------------------------------------------------------------------------------------------
 def ride() -> list[Sample]:
     """Inertial data with a short and a long gap and a silence, measurements, ticks, one late."""
     counts = noise(4000)

@@ -117,7 +117,7 @@ class ProcessorState(_message.Message):
     def __init__(self, name: _Optional[str] = ..., state: _Optional[bytes] = ...) -> None: ...
 
 class Snapshot(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "session", "start", "tick_sequence", "positions", "states")
+    __slots__ = ("stamp_ns", "sequence", "session", "start", "tick_sequence", "positions", "states", "configuration")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -125,6 +125,7 @@ class Snapshot(_message.Message):
     TICK_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     POSITIONS_FIELD_NUMBER: _ClassVar[int]
     STATES_FIELD_NUMBER: _ClassVar[int]
+    CONFIGURATION_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     session: int
@@ -132,4 +133,5 @@ class Snapshot(_message.Message):
     tick_sequence: int
     positions: _containers.RepeatedCompositeFieldContainer[Position]
     states: _containers.RepeatedCompositeFieldContainer[ProcessorState]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., session: _Optional[int] = ..., start: _Optional[bool] = ..., tick_sequence: _Optional[int] = ..., positions: _Optional[_Iterable[_Union[Position, _Mapping]]] = ..., states: _Optional[_Iterable[_Union[ProcessorState, _Mapping]]] = ...) -> None: ...
+    configuration: str
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., session: _Optional[int] = ..., start: _Optional[bool] = ..., tick_sequence: _Optional[int] = ..., positions: _Optional[_Iterable[_Union[Position, _Mapping]]] = ..., states: _Optional[_Iterable[_Union[ProcessorState, _Mapping]]] = ..., configuration: _Optional[str] = ...) -> None: ...
