@@ -33,7 +33,6 @@ def demo(
     from dataclasses import asdict
 
     from tramstream.cli import fleet
-    from tramstream.cli.demo_report import summarise
     from tramstream.cli.session import say, stop_on_signals
     from tramstream.config import load
     from tramstream.errors import ConfigError, DamagedRecordError
@@ -56,6 +55,8 @@ def demo(
         shutil.move(parts[0], target)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+    from tramstream.cli.demo_report import summarise  # numpy, only now that the ride is over
+
     report = summarise(target)
     if json_:
         print(json.dumps({"record": str(target), **asdict(report)}))

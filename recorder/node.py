@@ -36,6 +36,8 @@ class RecorderNode(Node):
         What to record, below `tram/<vehicle>/`.
     """
 
+    gather_s = 0.02
+
     def __init__(
         self,
         vehicle: str,

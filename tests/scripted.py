@@ -61,7 +61,9 @@ class Impatient(threading.Event):
 class FakePort:
     """A device that does what the script says: message, None, or an exception; then it stops all."""
 
-    def __init__(self, script: Iterable[Any], stop: threading.Event, key: Key = keys.IMU_BYTES) -> None:
+    def __init__(
+        self, script: Iterable[Any], stop: threading.Event, key: Key = keys.IMU_BYTES
+    ) -> None:
         self.key = key
         self.device = "/dev/fake"
         self.is_open = False

@@ -97,9 +97,7 @@ class World:
     def run(
         self, processors: Sequence[Processor], *steps: Any, path: Path | None = None
     ) -> ProcessorNode:
-        node = ProcessorNode(
-            "processors", VEHICLE, self.bus, Script(*steps), processors, (), path
-        )
+        node = ProcessorNode("processors", VEHICLE, self.bus, Script(*steps), processors, (), path)
         node.run()
         return node
 
@@ -357,7 +355,11 @@ def test_can_frames_are_published_as_they_come_with_numbers(world: World) -> Non
     frames = [CanFrames(stamp_ns=START_NS + n, id=[n], data=[b"x"]) for n in range(3)]
     world.read(frames, keys.ODO_FRAMES)
     found = world.ear.heard(keys.ODO_FRAMES)
-    assert [(message.sequence, list(message.id)) for message in found] == [(1, [0]), (2, [1]), (3, [2])]
+    assert [(message.sequence, list(message.id)) for message in found] == [
+        (1, [0]),
+        (2, [1]),
+        (3, [2]),
+    ]
 
 
 def test_device_that_is_lost_and_back_is_told_in_health(world: World) -> None:

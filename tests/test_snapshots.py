@@ -143,7 +143,9 @@ def test_file_that_is_no_snapshot_is_named(tmp_path: Path) -> None:
     assert snapshots.load(tmp_path, NOW_NS)[1].startswith(str(tmp_path))  # a folder
 
 
-@pytest.mark.parametrize(("age_s", "young"), [(0.0, True), (59.0, True), (61.0, False), (-1.0, False)])
+@pytest.mark.parametrize(
+    ("age_s", "young"), [(0.0, True), (59.0, True), (61.0, False), (-1.0, False)]
+)
 def test_only_young_memory_is_worth_anything(tmp_path: Path, age_s: float, young: bool) -> None:
     path = tmp_path / "s"
     snapshots.save(path, snapshot_of(Memory()))

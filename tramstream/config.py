@@ -6,8 +6,8 @@ Defaults live here, each with its source. Units stand in field names and are SI 
 from __future__ import annotations
 
 import difflib
-import math
 import hashlib
+import math
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal

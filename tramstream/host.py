@@ -125,7 +125,7 @@ class ProcessorNode(Node):
             self._tick_sequence = state.tick_sequence
             self.log(f"{self.name} goes on from the memory of its predecessor")
         else:
-            self.log(f"{self._snapshot_path}: of other processors or another configuration; starting afresh")
+            self.log(f"{self._snapshot_path}: of other processors or settings; starting afresh")
 
     # One item ------------------------------------------------------------------------------------
     def _from_port(self, port: Port) -> Any:

@@ -14,7 +14,7 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
@@ -57,6 +57,9 @@ class Node(ABC):
     stop : threading.Event
         Set from outside (a signal) to end `run`.
     """
+
+    gather_s: ClassVar[float] = 0.0
+    """Let items gather for so long before the worker wakes: for nodes that nobody waits for."""
 
     def __init__(self, name: str, vehicle: str, bus: Bus, stop: threading.Event) -> None:
         self.name = name
@@ -116,7 +119,10 @@ class Node(ABC):
             self.begin()
             self.heartbeat()
             while not self.stop.is_set():
-                self._turn(self._patience_s())
+                if self.gather_s:
+                    self.stop.wait(min(self.gather_s, self._patience_s()))
+                    self.drain()
+                self._turn(0.0 if self.gather_s else self._patience_s())
             for subscription in subscriptions:
                 subscription.close()
             self.drain()

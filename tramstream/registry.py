@@ -15,7 +15,6 @@ from tramstream import config
 from tramstream.bus import Bus
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
-from tramstream.host import ProcessorNode
 from tramstream.node import Node
 from tramstream.processor import Processor
 
@@ -45,7 +44,7 @@ def load(group: str, name: str) -> Any:
 
 
 def _points(group: str) -> list[EntryPoint]:
-    return list(entry_points(group=f"tramstream.{group}"))
+    return sorted(entry_points(group=f"tramstream.{group}"), key=lambda point: point.name)
 
 
 def make_processors(vehicle: Vehicle) -> list[Processor]:
@@ -67,6 +66,9 @@ def node_names(vehicle: Vehicle, separate: bool = False) -> list[str]:
 
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:
     """Build the node called `name`."""
+    # Not above: the supervisor needs names only, and a router with numpy takes 15 MB more.
+    from tramstream.host import ProcessorNode
+
     if name in names("bridges"):
         if getattr(vehicle, name, None) is None:
             raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")

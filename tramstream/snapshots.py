@@ -56,9 +56,7 @@ def take(processors: Sequence[Processor]) -> list[ProcessorState]:
     return [ProcessorState(name=p.name, state=pack(p.snapshot())) for p in processors]
 
 
-def restore(
-    snapshot: Snapshot, processors: Sequence[Processor], some: bool = False
-) -> bool:
+def restore(snapshot: Snapshot, processors: Sequence[Processor], some: bool = False) -> bool:
     """Put the memory back; False, and nothing changed, if it is of other processors.
 
     The same processors of another version count as others: what they remember has another shape.

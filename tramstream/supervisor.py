@@ -134,7 +134,9 @@ class Supervisor:
         while time.monotonic() < deadline_s:
             status = running.exitcode
             if status is not None:
-                raise NodeError(f"node {child.name} ended with status {status} at its start", status)
+                raise NodeError(
+                    f"node {child.name} ended with status {status} at its start", status
+                )
             if self.bus.alive(token):
                 return
             time.sleep(0.02)
@@ -171,5 +173,3 @@ def describe(topic: str) -> bytes | None:
         if key.type.DESCRIPTOR.full_name == name:
             return keys.descriptor_set(key.type).SerializeToString()
     return None
-
-

@@ -1,0 +1,466 @@
+"""One contract for every bus; then what only zenoh between processes can do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tramstream import bus as bus_module
+from tramstream.bus import Bus, Envelope, LocalBus, ZenohBus, router_listens, socket_path
+from tramstream.clock import VehicleClock
+from tramstream.errors import BusError
+
+DEADLINE_S = 10.0
+ENCODING = "application/protobuf;tramstream.ImuMean"
+CLOCK = VehicleClock(offset_ns=1_600_000_000_000_000_000)
+
+
+def until(condition: Callable[[], object], text: str) -> None:
+    """Wait for `condition`, at most `DEADLINE_S`."""
+    deadline_s = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline_s, f"waited in vain: {text}"
+        time.sleep(0.005)
+
+
+class Contract:
+    """What every bus keeps. `sender` and `reader` may be the same object."""
+
+    sender: Bus
+    reader: Bus
+
+    def hear(self, expression: str) -> list[Envelope]:
+        """Subscribe, and wait until the sender's messages arrive."""
+        got: list[Envelope] = []
+        probes: list[Envelope] = []
+        probe = f"probe/{os.urandom(4).hex()}"
+        self.reader.subscribe(expression, got.append)
+        self.reader.subscribe(probe, probes.append)  # declared later, known later
+        until(lambda: self.sender.publish(probe, b"", ENCODING, 1) and probes, "the probe")
+        return got
+
+    def send(self, topic: str, sequence: int, payload: bytes = b"") -> int:
+        return self.sender.publish(topic, payload, ENCODING, sequence)
+
+    def test_message_arrives_whole_with_its_header(self) -> None:
+        got = self.hear("a/b")
+        publish_ns = self.send("a/b", 7, b"\x00payload\xff")
+        until(lambda: got, "the message")
+        (envelope,) = got
+        assert envelope.topic == "a/b"
+        assert envelope.payload == b"\x00payload\xff"
+        assert envelope.encoding == ENCODING
+        assert (envelope.sequence, envelope.session) == (7, self.sender.session)
+        assert envelope.publish_ns == publish_ns
+        assert abs(envelope.arrival_ns - publish_ns) < DEADLINE_S * 1e9
+
+    def test_empty_payload_arrives(self) -> None:
+        got = self.hear("a/b")
+        self.send("a/b", 1)
+        until(lambda: got, "the message")
+        assert got[0].payload == b""
+
+    def test_encoding_is_that_of_each_message(self) -> None:
+        got = self.hear("a/b")
+        for number, encoding in enumerate(("application/x", "application/y", "application/x"), 1):
+            self.sender.publish("a/b", b"", encoding, number)
+        until(lambda: len(got) == 3, "three messages")
+        assert [e.encoding for e in got] == ["application/x", "application/y", "application/x"]
+
+    def test_order_is_kept_per_key(self) -> None:
+        got = self.hear("a/*")
+        for number in range(300):
+            self.send(f"a/{number % 3}", number)
+        until(lambda: len(got) == 300, "all messages")
+        for topic in ("a/0", "a/1", "a/2"):
+            sequences = [e.sequence for e in got if e.topic == topic]
+            assert sequences == sorted(sequences)
+
+    def test_order_is_kept_per_key_from_several_threads(self) -> None:
+        got = self.hear("a/b")
+
+        def work() -> None:
+            for _ in range(100):
+                self.send("a/b", 1)
+
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        until(lambda: len(got) == 400, "all messages")
+        times = [e.publish_ns for e in got]
+        assert times == sorted(set(times))
+
+    def test_publication_times_rise_strictly_per_key(self) -> None:
+        times = [self.send("a/b", number) for number in range(500)]
+        assert times == sorted(set(times))
+
+    def test_wanted_publication_time_is_kept_unless_it_would_fall(self) -> None:
+        wanted_ns = [5000, 6000, 6000, 1000]
+        times = [self.sender.publish("old/b", b"", ENCODING, 1, wanted) for wanted in wanted_ns]
+        assert times == [5000, 6000, 6001, 6002]
+
+    @pytest.mark.parametrize(
+        ("expression", "expected"),
+        [
+            ("t/v/raw/gnss/fix", ["t/v/raw/gnss/fix"]),
+            ("t/*/raw/gnss/fix", ["t/v/raw/gnss/fix", "t/w/raw/gnss/fix"]),
+            ("t/v/**", ["t/v/raw/gnss/fix", "t/v/raw/imu/batch", "t/v"]),
+            ("**/batch", ["t/v/raw/imu/batch"]),
+            ("t/v/*/*", []),
+        ],
+    )
+    def test_expression_includes_what_it_says(self, expression: str, expected: list[str]) -> None:
+        got = self.hear(expression)
+        topics = ["t/v/raw/gnss/fix", "t/w/raw/gnss/fix", "t/v/raw/imu/batch", "t/v", "t/x"]
+        last = self.hear("end")
+        for topic in topics:
+            self.send(topic, 1)
+        self.send("end", 1)
+        until(lambda: last and len(got) >= len(expected), "the expected messages")
+        assert [e.topic for e in got] == [topic for topic in topics if topic in expected]
+
+    def test_closed_subscription_hears_no_more_and_may_be_closed_again(self) -> None:
+        got: list[Envelope] = []
+        other = self.hear("a/b")
+        subscription = self.reader.subscribe("a/b", got.append)
+        until(lambda: self.send("a/b", 1) and got, "the first message")
+        subscription.close()
+        count, before = len(got), len(other)
+        self.send("a/b", 2)
+        until(lambda: other[-1].sequence == 2, "the message on the other subscription")
+        assert len(other) > before
+        assert len(got) == count
+        subscription.close()
+
+    def test_announced_topics_are_alive(self) -> None:
+        self.sender.announce("t/v/health/imu/alive")
+        self.sender.announce("t/v/health/gnss/alive")
+        self.reader.announce("t/w/health/imu/alive")
+        until(lambda: len(self.reader.alive("t/*/health/*/alive")) == 3, "three nodes")
+        assert self.reader.alive("t/v/health/*/alive") == [
+            "t/v/health/gnss/alive",
+            "t/v/health/imu/alive",
+        ]
+        assert self.reader.alive("t/x/health/*/alive") == []
+
+    def test_questions_are_answered_and_silence_is_none(self) -> None:
+        self.reader.answer("t/schema/*", lambda t: t.encode() if t.endswith("known") else None)
+        until(lambda: self.sender.ask("t/schema/known"), "the answer")
+        assert self.sender.ask("t/schema/known") == [b"t/schema/known"]
+        assert self.sender.ask("t/schema/other", timeout_s=0.5) == []
+        assert self.sender.ask("t/nobody", timeout_s=0.5) == []
+
+    def test_new_session_has_another_number(self) -> None:
+        before = self.sender.session
+        self.sender.renew_session()
+        assert self.sender.session != before
+
+    def test_close_may_be_called_twice(self) -> None:
+        self.sender.close()
+        self.sender.close()
+
+
+class TestLocalBus(Contract):
+    @pytest.fixture(autouse=True)
+    def _bus(self) -> Iterator[None]:
+        self.sender = self.reader = LocalBus(CLOCK)
+        yield
+        self.sender.close()
+
+
+@pytest.fixture
+def runtime_dir() -> Iterator[Path]:
+    """A folder with a name short enough for a Unix socket."""
+    folder = Path(tempfile.mkdtemp(dir="/tmp", prefix="tb"))
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.mark.live
+class TestZenohBusBetweenClients(Contract):
+    @pytest.fixture(autouse=True)
+    def _bus(self, runtime_dir: Path) -> Iterator[None]:
+        router = ZenohBus.route(runtime_dir, CLOCK)
+        self.sender = ZenohBus.connect(runtime_dir, CLOCK)
+        self.reader = ZenohBus.connect(runtime_dir, CLOCK)
+        yield
+        for each in (self.sender, self.reader, router):
+            each.close()
+
+
+@pytest.mark.live
+class TestZenohBusFromRouterToClient(Contract):
+    @pytest.fixture(autouse=True)
+    def _bus(self, runtime_dir: Path) -> Iterator[None]:
+        self.sender = ZenohBus.route(runtime_dir, CLOCK)
+        self.reader = ZenohBus.connect(runtime_dir, CLOCK)
+        yield
+        for each in (self.reader, self.sender):
+            each.close()
+
+
+# Between processes ----------------------------------------------------------------------------------
+ROUTER = """
+import sys
+from pathlib import Path
+from tramstream.bus import ZenohBus
+from tramstream.clock import VehicleClock
+bus = ZenohBus.route(Path(sys.argv[1]), VehicleClock())
+print("up", flush=True)
+sys.stdin.read()
+bus.close()
+"""
+
+SUBSCRIBER = """
+import sys
+from pathlib import Path
+from tramstream.bus import ZenohBus
+from tramstream.clock import VehicleClock
+bus = ZenohBus.connect(Path(sys.argv[1]), VehicleClock())
+bus.subscribe("a/*", lambda envelope: None)
+bus.announce("alive/other")
+print("up", flush=True)
+sys.stdin.read()
+bus.close()
+"""
+
+
+class Other:
+    """A process of its own that is up; killed at the end."""
+
+    def __init__(self, program: str, runtime_dir: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", program, str(runtime_dir)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == b"up\n"
+
+    def send_signal(self, number: signal.Signals) -> None:
+        self.process.send_signal(number)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait(DEADLINE_S)
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+
+
+@pytest.fixture
+def start(runtime_dir: Path) -> Iterator[Callable[[str], Other]]:
+    others: list[Other] = []
+
+    def start_one(program: str) -> Other:
+        others.append(Other(program, runtime_dir))
+        return others[-1]
+
+    yield start_one
+    for other in others:
+        other.kill()
+
+
+def sentence(error: pytest.ExceptionInfo[BusError], *parts: str) -> None:
+    for part in parts:
+        assert part in str(error.value)
+
+
+@pytest.mark.live
+def test_client_without_router_says_what_to_start(runtime_dir: Path) -> None:
+    with pytest.raises(BusError) as caught:
+        ZenohBus.connect(runtime_dir, CLOCK)
+    sentence(caught, str(runtime_dir), "tramstream run", "TRAMSTREAM_RUNTIME_DIR")
+
+
+@pytest.mark.live
+def test_client_with_a_stop_waits_for_the_router(runtime_dir: Path) -> None:
+    found: list[ZenohBus] = []
+    stop = threading.Event()
+    waiting = threading.Thread(
+        target=lambda: found.append(ZenohBus.connect(runtime_dir, CLOCK, stop))
+    )
+    waiting.start()
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    waiting.join(DEADLINE_S)
+    assert found
+    found[0].close()
+    router.close()
+
+
+@pytest.mark.live
+def test_waiting_client_ends_when_told(runtime_dir: Path) -> None:
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(BusError):
+        ZenohBus.connect(runtime_dir, CLOCK, stop)
+
+
+@pytest.mark.live
+def test_second_router_is_refused_with_a_sentence_and_the_first_goes_on(
+    runtime_dir: Path,
+) -> None:
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    for _ in range(2):
+        with pytest.raises(BusError) as caught:
+            ZenohBus.route(runtime_dir, CLOCK)
+        sentence(caught, "a router is listening already", "$.bus.runtime_dir")
+    client = ZenohBus.connect(runtime_dir, CLOCK)
+    client.close()
+    router.close()
+    ZenohBus.route(runtime_dir, CLOCK).close()
+
+
+@pytest.mark.live
+def test_of_routers_that_start_at_once_one_wins(runtime_dir: Path) -> None:
+    won: list[ZenohBus] = []
+    refused: list[BusError] = []
+    begin = threading.Barrier(4)
+
+    def work() -> None:
+        begin.wait()
+        try:
+            won.append(ZenohBus.route(runtime_dir, CLOCK))
+        except BusError as error:
+            refused.append(error)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(DEADLINE_S)
+    assert (len(won), len(refused)) == (1, 3)
+    ZenohBus.connect(runtime_dir, CLOCK).close()
+    won[0].close()
+
+
+@pytest.mark.live
+def test_frozen_router_is_not_replaced(runtime_dir: Path, start: Callable[[str], Other]) -> None:
+    other = start(ROUTER)
+    other.send_signal(signal.SIGSTOP)
+    with pytest.raises(BusError, match="listening already"):
+        ZenohBus.route(runtime_dir, CLOCK)
+
+
+@pytest.mark.live
+def test_stale_socket_of_a_killed_router_is_replaced(
+    runtime_dir: Path, start: Callable[[str], Other]
+) -> None:
+    start(ROUTER).kill()
+    assert socket_path(runtime_dir).exists()
+    assert not router_listens(runtime_dir)
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    ZenohBus.connect(runtime_dir, CLOCK).close()
+    router.close()
+
+
+@pytest.mark.live
+def test_clients_meet_again_after_the_router_was_killed(
+    runtime_dir: Path, start: Callable[[str], Other]
+) -> None:
+    first = start(ROUTER)
+    sender = ZenohBus.connect(runtime_dir, CLOCK)
+    reader = ZenohBus.connect(runtime_dir, CLOCK)
+    got: list[Envelope] = []
+    reader.subscribe("a/b", got.append)
+    sender.announce("alive/sender")
+    until(lambda: sender.publish("a/b", b"", ENCODING, 1) and got, "a message")
+    first.kill()
+    start(ROUTER)
+    got.clear()
+    until(lambda: sender.publish("a/b", b"", ENCODING, 2) and got, "a message after the restart")
+    until(lambda: reader.alive("alive/*") == ["alive/sender"], "the sender's token")
+    for each in (sender, reader):
+        each.close()
+
+
+@pytest.mark.live
+def test_token_of_a_killed_process_goes_at_once(
+    runtime_dir: Path, start: Callable[[str], Other]
+) -> None:
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    other = start(SUBSCRIBER)
+    until(lambda: router.alive("alive/*") == ["alive/other"], "the token")
+    other.kill()
+    until(lambda: router.alive("alive/*") == [], "the token's end")
+    router.close()
+
+
+@pytest.mark.live
+def test_frozen_subscriber_does_not_stall_the_others(
+    runtime_dir: Path, start: Callable[[str], Other]
+) -> None:
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    sender = ZenohBus.connect(runtime_dir, CLOCK)
+    reader = ZenohBus.connect(runtime_dir, CLOCK)
+    arrivals: list[int] = []
+    reader.subscribe("a/b", lambda envelope: arrivals.append(time.monotonic_ns()))
+    frozen = start(SUBSCRIBER)
+    until(lambda: sender.publish("a/b", b"", ENCODING, 1) and arrivals, "a message")
+    frozen.send_signal(signal.SIGSTOP)
+    arrivals.clear()
+    payload, rate_hz, count = bytes(20_000), 400, 1200  # more than any socket buffers
+    begin_s = time.monotonic()
+    slowest_s = 0.0
+    for number in range(count):
+        time.sleep(max(0.0, begin_s + number / rate_hz - time.monotonic()))
+        before_s = time.monotonic()
+        sender.publish("a/b", payload, ENCODING, number)
+        slowest_s = max(slowest_s, time.monotonic() - before_s)
+    until(lambda: len(arrivals) >= 0.95 * count, "the other reader's messages")
+    longest_s = max(b - a for a, b in zip(arrivals, arrivals[1:], strict=False)) / 1e9
+    assert slowest_s < 0.5
+    assert longest_s < 0.5
+    for each in (sender, reader, router):
+        each.close()
+
+
+@pytest.mark.live
+def test_close_returns_in_time_while_a_reader_is_frozen(
+    runtime_dir: Path, start: Callable[[str], Other]
+) -> None:
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    sender = ZenohBus.connect(runtime_dir, CLOCK)
+    frozen = start(SUBSCRIBER)
+    frozen.send_signal(signal.SIGSTOP)
+    for number in range(200):
+        sender.publish("a/b", bytes(20_000), ENCODING, number)
+    for each in (sender, router):
+        before_s = time.monotonic()
+        each.close()
+        assert time.monotonic() - before_s < bus_module.CLOSE_TIMEOUT_S + 1.0
+
+
+def test_socket_path_that_is_too_long_is_refused_with_the_cure() -> None:
+    with pytest.raises(BusError) as caught:
+        socket_path(Path("/tmp") / ("x" * 100))
+    sentence(caught, "longer than", "TRAMSTREAM_RUNTIME_DIR")
+
+
+def test_router_without_its_folder_is_refused_with_the_cure(tmp_path: Path) -> None:
+    with pytest.raises(BusError) as caught:
+        ZenohBus.route(tmp_path / "no", CLOCK)
+    sentence(caught, "$.bus.runtime_dir")
+
+
+def test_local_subscription_that_publishes_itself_does_not_hang() -> None:
+    bus = LocalBus(CLOCK)
+    got: list[str] = []
+    bus.subscribe("a", lambda envelope: bus.publish("b", b"", ENCODING, 1) and None)
+    bus.subscribe("b", lambda envelope: got.append(envelope.topic))
+    bus.publish("a", b"", ENCODING, 1)
+    assert got == ["b"]
