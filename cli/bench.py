@@ -48,6 +48,7 @@ def bench(
         table.add_column(column, justify="right" if column in ("value", "goal") else "left")
     for figure in figures:
         verdict = "" if figure.goal is None else ("met" if figure.met else "[red]missed[/red]")
-        goal = "" if figure.goal is None else f"{'≥' if figure.more_is_better else '≤'} {figure.goal:g}"
+        sign = "≥" if figure.more_is_better else "≤"
+        goal = "" if figure.goal is None else f"{sign} {figure.goal:g}"
         table.add_row(figure.name, f"{figure.value:,.4g}", goal, verdict)
     Console().print(table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -88,10 +89,10 @@ def live_pipeline(duration_s: float) -> list[Figure]:
         config.write_text(configuration(folder, seed=1))
         vehicle = load(config)
         with fleet.running(vehicle, config, lambda text: None) as run:
-            usage = _Usage()
-            run.until(_Never(), WARM_UP_S)
+            usage, never = _Usage(), threading.Event()
+            run.until(never, WARM_UP_S)
             usage.begin(run.children)
-            run.until(_Never(), duration_s)
+            run.until(never, duration_s)
             usage.end(run.children)
         (path,) = (folder / "records").glob("*.mcap")
         with open_record(path) as record:
@@ -104,14 +105,17 @@ def live_pipeline(duration_s: float) -> list[Figure]:
 
         result = reprocess()
         elapsed_s = median_s(reprocess)
-    pipeline = [name for name in usage.cpu_percent if name != "simulators"]
+    cpu = dict(usage.cpu_percent)
+    simulators = cpu.pop("simulators")
+    rss_mb = sum(usage.rss_mb[name] for name in cpu)
+    pss_mb = sum(usage.pss_mb[name] for name in cpu)
     return [
-        *(Figure(f"live_{n}_core_percent", usage.cpu_percent[n]) for n in pipeline if n != "recorder"),
-        Figure("live_recorder_core_percent", usage.cpu_percent["recorder"], 5.0, False),
-        Figure("live_pipeline_core_percent", sum(usage.cpu_percent[n] for n in pipeline), 25.0, False),
-        Figure("live_pipeline_rss_mb", sum(usage.rss_mb[n] for n in pipeline), 200.0, False),
-        Figure("live_pipeline_pss_mb", sum(usage.pss_mb[n] for n in pipeline)),
-        Figure("live_simulators_core_percent", usage.cpu_percent["simulators"]),
+        *(Figure(f"live_{name}_core_percent", cpu[name]) for name in cpu if name != "recorder"),
+        Figure("live_recorder_core_percent", cpu["recorder"], 5.0, False),
+        Figure("live_pipeline_core_percent", sum(cpu.values()), 25.0, False),
+        Figure("live_pipeline_pss_mb", pss_mb, 200.0, False),
+        Figure("live_pipeline_rss_sum_mb", rss_mb),
+        Figure("live_simulators_core_percent", simulators),
         *latency,
         Figure("reprocess_times_real_time", result.duration_s / elapsed_s, 100.0),
         Figure("reprocess_identical", float(result.identical), 1.0),
@@ -133,17 +137,6 @@ def _latency(record: Record) -> list[Figure]:
         Figure("imu_to_sync_p99_ms", float(np.percentile(after_newest, 99)), 20.0, False),
         Figure("imu_centre_to_sync_p99_ms", float(np.percentile(after_centre, 99))),
     ]
-
-
-class _Never:
-    """An event that is never set."""
-
-    def is_set(self) -> bool:
-        return False
-
-    def wait(self, timeout_s: float) -> bool:
-        time.sleep(timeout_s)
-        return False
 
 
 class _Usage:

@@ -1,4 +1,4 @@
-"""Figures of the stages that need no bus: bytes and messages made here, medians of repeated runs."""
+"""Figures of the stages that need no bus: medians of repeated runs on bytes made here."""
 
 from __future__ import annotations
 
@@ -211,9 +211,7 @@ def record() -> list[Figure]:
             path.unlink(missing_ok=True)
             with RecordFile(path, "bench") as target:
                 for batch, payload in zip(batches, payloads, strict=True):
-                    target.append(
-                        topic, keys.IMU_BATCH, payload, batch.stamp_ns, batch.stamp_ns, 1
-                    )
+                    target.append(topic, keys.IMU_BATCH, payload, batch.stamp_ns, batch.stamp_ns, 1)
 
         def read() -> None:
             with open_record(path) as source:

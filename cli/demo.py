@@ -16,9 +16,13 @@ def demo(
         float, typer.Option(help="Times real time: the whole ride runs on a faster clock.", min=0.1)
     ] = 1.0,
     seed: Annotated[int, typer.Option(help="Of the simulated sensors.")] = 7,
-    out: Annotated[Path | None, typer.Option(help="Record to write; default demo-<time>.mcap.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Record to write; default demo-<time>.mcap.")
+    ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No live screen.")] = False,
-    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object at the end.")
+    ] = False,
 ) -> None:
     """Simulate a ride through real bridges, bus, processors and recorder; end with the errors.
 
@@ -140,7 +144,8 @@ def _print(report: Any, target: Path) -> None:
     from tramstream import keys
 
     console = Console()
-    table = Table(title=f"{target}: {report.duration_s:.1f} s, {report.messages} messages", box=None)
+    title = f"{target}: {report.duration_s:.1f} s, {report.messages} messages"
+    table = Table(title=title, box=None)
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("", style="dim")

@@ -24,9 +24,7 @@ WATCH_S = 0.1
 class Fleet:
     """The running nodes of one vehicle."""
 
-    def __init__(
-        self, bus: Bus, supervisor: Supervisor, vehicle: Vehicle, voice: _Voice
-    ) -> None:
+    def __init__(self, bus: Bus, supervisor: Supervisor, vehicle: Vehicle, voice: _Voice) -> None:
         self.bus = bus
         self.vehicle = vehicle
         self._supervisor = supervisor

@@ -175,7 +175,7 @@ def _read(path: Path) -> bytes:
 
 
 def _timed_pieces(data: bytes, times: list[tuple[int, int]]) -> Iterable[tuple[int, bytes]]:
-    """Cut where a time ends; bytes after the last one, and all where there is none, get the last."""
+    """Cut where a time ends; bytes after the last time get that one."""
     begin, arrival_ns = 0, S
     for end, time_ns in times:
         arrival_ns = time_ns

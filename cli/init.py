@@ -164,6 +164,8 @@ signal = "MOTOR_FORCE"
 #m_per_pulse = 0.00092038845
 # How much the speed may change: trams brake with about 1 m/s² in service.
 #acceleration_std_mps2 = 1.0
+# How much the arrival of the wheels' readings jitters.
+#wheel_stamp_std_s = 0.002
 #wheel_speed_std_mps = 0.05
 # A measurement further away than so many standard deviations is refused, and counted.
 #gate_sigma = 5.0

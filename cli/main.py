@@ -55,9 +55,7 @@ def make_app(only: str = "") -> typer.Typer:
         rich_markup_mode="rich",
     )
     app.callback()(_callback)
-    verbs: dict[str, Any] = {
-        point.name: point for point in entry_points(group="tramstream.verbs")
-    }
+    verbs: dict[str, Any] = {point.name: point for point in entry_points(group="tramstream.verbs")}
     if only in verbs:  # a node that starts again need not load the other twenty
         verbs = {only: verbs[only]}
     panel_of = {verb: panel for panel, names in PANELS.items() for verb in names}

@@ -9,7 +9,9 @@ import typer
 
 
 def node(
-    name: Annotated[str, typer.Argument(help="recorder, processors, gnss, imu, odometer, router …")],
+    name: Annotated[
+        str, typer.Argument(help="recorder, processors, gnss, imu, odometer, router …")
+    ],
     config: Annotated[Path, typer.Argument(help="Vehicle configuration.")],
 ) -> None:
     """Run one node."""

@@ -10,7 +10,8 @@ import typer
 
 def record(
     config: Annotated[
-        Path | None, typer.Argument(help="Vehicle configuration; without one, the bus of this user.")
+        Path | None,
+        typer.Argument(help="Vehicle configuration; without one, the bus of this user."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder of the records; default as configured.")

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from tramstream.bus import Bus, ZenohBus
 
 
 def replay(
@@ -15,7 +20,8 @@ def replay(
     ] = 1.0,
     start_s: Annotated[float, typer.Option("--start-s", help="Seconds to skip.", min=0.0)] = 0.0,
     duration_s: Annotated[
-        float, typer.Option("--duration-s", help="Seconds of the record to play; 0 is all.", min=0.0)
+        float,
+        typer.Option("--duration-s", help="Seconds of the record to play; 0 is all.", min=0.0),
     ] = 0.0,
     keys_: Annotated[str, typer.Option("--keys", help="Only keys in this expression.")] = "**",
     exclude: Annotated[str, typer.Option(help="Leave out keys in this expression.")] = "",
@@ -24,12 +30,15 @@ def replay(
         bool, typer.Option("--start-paused", help="Wait for the space bar.")
     ] = False,
     as_: Annotated[
-        str, typer.Option("--as", help="Vehicle to publish as; default: the recorded one + -replay.")
+        str,
+        typer.Option("--as", help="Vehicle to publish as; default: the recorded one + -replay."),
     ] = "",
     onto_live: Annotated[
         bool, typer.Option("--onto-live", help="Publish even where live nodes use the keys.")
     ] = False,
-    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object at the end.")
+    ] = False,
 ) -> None:
     """Play a record on the bus; stamps inside the messages stay as recorded.
 
@@ -74,10 +83,8 @@ def replay(
     print(json.dumps(figures)) if json_ else say(f"{playing.published} messages published")
 
 
-def replay_bus(runtime_dir, say):  # type: ignore[no-untyped-def]
+def replay_bus(runtime_dir: Path, say: Callable[[str], None]) -> closing[ZenohBus]:
     """A patient session: on the bus that is there, else as the router of a new one."""
-    from contextlib import closing
-
     from tramstream.bus import ZenohBus, router_listens
     from tramstream.clock import VehicleClock
 
@@ -88,7 +95,7 @@ def replay_bus(runtime_dir, say):  # type: ignore[no-untyped-def]
     return closing(ZenohBus.route(runtime_dir, clock, patient=True))
 
 
-def refuse_live(bus, vehicle: str, onto_live: bool) -> None:  # type: ignore[no-untyped-def]
+def refuse_live(bus: Bus, vehicle: str, onto_live: bool) -> None:
     """Raise ConfigError if nodes of a running vehicle publish under `vehicle`."""
     from tramstream import keys
     from tramstream.errors import ConfigError

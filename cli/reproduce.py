@@ -36,7 +36,8 @@ def reproduce(
         title=f"{name}: travelled distance, σ = 40 m, {konecny2004.RUNS} runs of "
         f"{konecny2004.STEPS} steps, seed {seed}"
     )
-    for column in ("case", "raw [m]", "predicted [m]", "filtered [m]", "gain", "speed [m/s]", "±2σ"):
+    columns = ("case", "raw [m]", "predicted [m]", "filtered [m]", "gain", "speed [m/s]", "±2σ")
+    for column in columns:
         table.add_column(column, justify="left" if column == "case" else "right")
     for case in cases:
         table.add_row(
@@ -52,5 +53,5 @@ def reproduce(
     console.print(table)
     console.print(
         "Root mean square errors. raw: the measurement itself; predicted: before, filtered: after "
-        "the data step;\ngain: raw / filtered. The last line is what ignoring the true interval costs."
+        "the data step;\ngain: raw / filtered. The last line is what ignoring the interval costs."
     )

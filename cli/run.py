@@ -9,7 +9,9 @@ import typer
 
 
 def run(
-    config: Annotated[Path, typer.Argument(help="Vehicle configuration; `tramstream init` writes one.")],
+    config: Annotated[
+        Path, typer.Argument(help="Vehicle configuration; `tramstream init` writes one.")
+    ],
     separate: Annotated[
         bool, typer.Option("--separate", help="Give each processor a process of its own.")
     ] = False,

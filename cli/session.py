@@ -68,4 +68,6 @@ def vehicle_on(bus: Bus, wanted: str = "") -> str:
         return vehicles[0]
     if not vehicles:
         raise BusError("the bus has no nodes; start `tramstream run`, `demo` or `replay`")
-    raise BusError(f"several vehicles are on the bus ({', '.join(vehicles)}); choose with --vehicle")
+    raise BusError(
+        f"several vehicles are on the bus ({', '.join(vehicles)}); choose with --vehicle"
+    )

@@ -2,7 +2,8 @@
 
 Pulses are measured as accumulated distance, so that quantisation never adds up; wheels that give a
 speed, and the receiver's speed over ground, as speed. Each step predicts over the true interval
-between the stamps. A measurement outside the gate is reported and not used.
+between the stamps; that the stamps jitter counts as noise of the path, in proportion to the speed.
+A measurement outside the gate is reported and not used.
 
 The wheels' path is *tied* to the estimate with its first reading, and anew when it jumps (a
 restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
@@ -59,6 +60,7 @@ class DistanceFilter(Processor):
         config = vehicle.distance
         self._m_per_pulse = config.m_per_pulse
         self._acceleration_std = config.acceleration_std_mps2
+        self._stamp_variance = config.wheel_stamp_std_s**2
         self._wheel_variance = config.wheel_speed_std_mps**2
         self._gate = config.gate_sigma
         self._stamp_ns = 0
@@ -138,7 +140,8 @@ class DistanceFilter(Processor):
     def _take_path(self, counting: list[WheelReading], stamp_ns: int) -> Innovation:
         count = len(counting)
         path_m = sum([wheel.pulses for wheel in counting]) / count * self._m_per_pulse
-        variance = self._m_per_pulse**2 * QUANTISATION / count
+        speed_mps = float(self._kalman.x[1, 0])
+        variance = self._m_per_pulse**2 * QUANTISATION / count + speed_mps**2 * self._stamp_variance
         wheels = [wheel.wheel for wheel in counting]
         pause_s = (stamp_ns - self._path_ns) / S
         jumped = abs(path_m - self._path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)

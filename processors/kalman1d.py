@@ -36,6 +36,9 @@ class TwoStateFilter(KalmanFilter):  # type: ignore[misc]  # filterpy has no typ
     P is symmetric. What is rare (control input, fading memory, no measurement) goes to filterpy.
     """
 
+    x: Array
+    P: Array
+
     def __init__(self) -> None:
         super().__init__(dim_x=2, dim_z=1)
 

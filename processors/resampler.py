@@ -17,6 +17,7 @@ import heapq
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from tramstream import keys
 from tramstream.clock import S
@@ -218,7 +219,8 @@ class Resampler(Processor):
         measurements = self._measurements
         while measurements and measurements[0][0] <= stamp_ns:
             _, kind, _, _, message = heapq.heappop(measurements)
-            (frame.gnss if kind == GNSS else frame.odometry).append(message)
+            field: Any = frame.gnss if kind == GNSS else frame.odometry
+            field.append(message)
             self._measured.delivered += 1
         self._horizon_ns = stamp_ns
         return self.emit(keys.SYNC_FRAME, frame, stamp_ns)

@@ -126,7 +126,7 @@ class Windows:
         """Interpolate from the newest sample to the first of `batch`, marked as invented."""
         first = self.next_sequence
         missing = batch.first_sample_sequence - first
-        weights = np.arange(1, missing + 1) / (missing + 1)
+        weights: Array = np.arange(1, missing + 1) / (missing + 1)
         rise = _columns(batch)[:, :1] - self._last
         start_ns = self._last_ns
         span_ns = batch.stamp_ns - self._base_ns - start_ns
@@ -142,9 +142,10 @@ class Windows:
             How many of its samples no window will be centred on: they come before the first.
         """
         columns = _columns(batch)
-        count = columns.shape[1]
+        count = len(batch.gyro_x)
         self._period_ns = batch.period_ns
-        stamps = np.arange(count) * self._period_ns + (batch.stamp_ns - self._base_ns)
+        numbers = np.arange(count, dtype=np.float64)
+        stamps = numbers * self._period_ns + (batch.stamp_ns - self._base_ns)
         self._append(columns, stamps)
         self._last, self._last_ns = columns[:, -1:], float(stamps[-1])
         return min(count, max(0, self._consumed - batch.first_sample_sequence))

@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tramstream import keys
-from tramstream.recorder.reprocess import Made
 from tramstream.recorder.reader import Entry
+from tramstream.recorder.reprocess import Made
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""

@@ -48,9 +48,7 @@ class RecorderNode(Node):
         expression: str = "**",
     ) -> None:
         super().__init__(NAME, vehicle, bus, stop)
-        self.recording = Recording(
-            Path(settings.directory), vehicle, settings, bus.clock, metadata
-        )
+        self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
         self._expression = expression
         self._keys: dict[str, Key | None] = {}

@@ -197,7 +197,7 @@ class Reprocessor:
 
     def _begin(self, index: int) -> None:
         snapshot = self._plan.sessions[index].snapshot
-        # With `run --separate` only the resampler's process makes snapshots; the others began fresh.
+        # With `run --separate` only the resampler's process makes snapshots; others begin fresh.
         if not snapshots.restore(snapshot, self._processors, some=True):
             recorded = ", ".join(state.name for state in snapshot.states)
             ours = ", ".join(processor.name for processor in self._processors)
@@ -286,8 +286,9 @@ class Reprocessor:
     def _feed_until(self, log_ns: int, sequence: int) -> Iterator[Made]:
         # What does not pace may be fed early: then nothing is late.
         yield from self._feed(
-            lambda path, entry: entry.log_ns
-            <= (log_ns if path in self._pacing else log_ns + EARLY_NS)
+            lambda path, entry: (
+                entry.log_ns <= (log_ns if path in self._pacing else log_ns + EARLY_NS)
+            )
         )
         self._log_ns = max(self._log_ns, log_ns)
         tick = Tick(stamp_ns=log_ns, sequence=sequence)

@@ -1,4 +1,4 @@
-"""A clock that stands still until told, a stop event that leads a loop by the hand, fake devices."""
+"""A clock that stands still until told, a stop event that leads a loop by the hand, a device."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Impatient(threading.Event):
 
 
 class FakePort:
-    """A device that does what the script says: message, None, or an exception; then it stops all."""
+    """A device that does what the script says (message, None, exception), then stops all."""
 
     def __init__(
         self, script: Iterable[Any], stop: threading.Event, key: Key = keys.IMU_BYTES
@@ -72,19 +72,10 @@ class FakePort:
 
     def open(self) -> None:
         assert not self.is_open, "opened twice"
-        self._next(on_open=True)
         self.is_open = True
 
     def read(self) -> Any:
         assert self.is_open, "read while closed"
-        return self._next()
-
-    def close(self) -> None:
-        self.is_open = False
-
-    def _next(self, on_open: bool = False) -> Any:
-        if on_open:
-            return None
         item = next(self._script, self)
         if item is self:
             self._stop.set()
@@ -92,6 +83,9 @@ class FakePort:
         if isinstance(item, BaseException):
             raise item
         return item
+
+    def close(self) -> None:
+        self.is_open = False
 
 
 def raw(data: bytes, at_s: float = 0.0) -> RawBytes:

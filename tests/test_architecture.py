@@ -91,7 +91,7 @@ def constants(tree: ast.AST) -> Iterator[ast.Constant]:
             yield node
 
 
-# Directions -----------------------------------------------------------------------------------------
+# Directions ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", MODULES)
 def test_arrows_point_inward_only(name: str) -> None:
     own = part_of(name)
@@ -143,7 +143,7 @@ def test_pseudo_terminals_are_made_by_the_simulators_alone() -> None:
     }
 
 
-# Borders --------------------------------------------------------------------------------------------
+# Borders ------------------------------------------------------------------------------------------
 LAYERS = tuple(f"{layer}/" for layer in sorted({key.layer for key in keys.ALL}))
 
 
@@ -200,7 +200,7 @@ def test_below_the_command_line_nobody_prints_or_exits(name: str) -> None:
             )
 
 
-# Sizes ----------------------------------------------------------------------------------------------
+# Sizes --------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", MODULES)
 def test_module_fits_in_four_hundred_lines(name: str) -> None:
     lines = len(MODULES[name].read_text().splitlines())
@@ -211,7 +211,7 @@ def test_nothing_is_a_drawer_for_everything() -> None:
     assert not {path.stem for path in MODULES.values()} & {"utils", "helpers", "common", "misc"}
 
 
-# Packaging ------------------------------------------------------------------------------------------
+# Packaging ----------------------------------------------------------------------------------------
 def folder_of(package: str) -> Path:
     mapping = PROJECT["tool"]["setuptools"]["package-dir"]
     return ROOT / mapping.get(package, package.replace(".", "/"))

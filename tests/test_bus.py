@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -212,7 +213,7 @@ class TestZenohBusFromRouterToClient(Contract):
             each.close()
 
 
-# Between processes ----------------------------------------------------------------------------------
+# Between processes --------------------------------------------------------------------------------
 ROUTER = """
 import sys
 from pathlib import Path
@@ -422,7 +423,7 @@ def test_frozen_subscriber_does_not_stall_the_others(
         sender.publish("a/b", payload, ENCODING, number)
         slowest_s = max(slowest_s, time.monotonic() - before_s)
     until(lambda: len(arrivals) >= 0.95 * count, "the other reader's messages")
-    longest_s = max(b - a for a, b in zip(arrivals, arrivals[1:], strict=False)) / 1e9
+    longest_s = max(b - a for a, b in pairwise(arrivals)) / 1e9
     assert slowest_s < 0.5
     assert longest_s < 0.5
     for each in (sender, reader, router):

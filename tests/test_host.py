@@ -115,7 +115,7 @@ def world() -> World:
     return World()
 
 
-# Dispatch -------------------------------------------------------------------------------------------
+# Dispatch -----------------------------------------------------------------------------------------
 def test_outputs_go_to_the_bus_and_to_the_processors_that_want_them(world: World) -> None:
     first, second = Remembering(), Following()
     world.run([first, second], world.fix, world.fix)
@@ -151,7 +151,7 @@ def test_message_that_is_garbage_is_a_fault_and_the_loop_goes_on(world: World) -
     assert first.seen.count(keys.GNSS_FIX.path) == 1
 
 
-# Ticks ----------------------------------------------------------------------------------------------
+# Ticks --------------------------------------------------------------------------------------------
 def test_no_time_passes_before_the_first_input(world: World) -> None:
     first = Remembering()
     world.run([first], *[lambda: world.clock.advance(0.1)] * 20)
@@ -264,12 +264,12 @@ def test_process_that_stood_still_does_not_take_its_backlog_for_silence(world: W
     assert all(frame.HasField("imu") for frame in frames)
 
 
-# Memory ---------------------------------------------------------------------------------------------
+# Memory -------------------------------------------------------------------------------------------
 def test_snapshots_are_published_at_the_start_now_and_then_and_at_the_end(world: World) -> None:
     world.run([Remembering()], world.fix, *[lambda: world.clock.advance(0.1)] * 120)
     found = world.ear.heard(keys.SYNC_SNAPSHOT)
     assert [snapshot.start for snapshot in found] == [True, False, False, False]
-    assert [snapshot.tick_sequence for snapshot in found][0] == 0
+    assert found[0].tick_sequence == 0
     assert found[-1].tick_sequence == world.ear.heard(keys.SYNC_TICK)[-1].sequence
     state = snapshots.unpack(found[-1].states[0].state)
     assert keys.GNSS_FIX.path in state["seen"]
@@ -333,7 +333,7 @@ def test_snapshot_file_that_cannot_be_written_is_told_and_no_more(
     assert "FileNotFoundError" in world.ear.heard(keys.LOG)[0].message
 
 
-# Devices --------------------------------------------------------------------------------------------
+# Devices ------------------------------------------------------------------------------------------
 def test_reads_are_joined_published_and_the_last_of_them_too(world: World) -> None:
     world.read([raw(b"ab", 0.0), raw(b"c", 0.005), raw(b"d", 0.01)])
     found = world.ear.heard(keys.IMU_BYTES)

@@ -23,12 +23,13 @@ pytestmark = pytest.mark.live
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 DEADLINE_S = 60.0
+PROGRAM = (sys.executable, "-m", "tramstream.cli.main")
 
 
 def tramstream(*arguments: str, status: int = 0, **options: Any) -> str:
     """Run the program as a user would; return its standard output."""
     done = subprocess.run(
-        [sys.executable, "-m", "tramstream.cli.main", *arguments],
+        [*PROGRAM, *arguments],
         capture_output=True,
         text=True,
         timeout=120,
@@ -51,14 +52,14 @@ def wait_for(condition: Callable[[], Any], what: str) -> Any:
 
 
 @pytest.fixture(scope="module")
-def ride(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, Any]]]:
+def ride(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A demo ride of a few seconds at five times real time, faults included, and its figures."""
     path = tmp_path_factory.mktemp("ride") / "d.mcap"
     text = tramstream(
         *("demo", "--duration-s", "45", "--rate", "2.5", "--headless", "--json"),
         *("--out", str(path)),
     )
-    yield path, json.loads(text)
+    return path, json.loads(text)
 
 
 @pytest.fixture
@@ -109,9 +110,7 @@ def test_check_fails_when_the_processors_are_configured_differently(
 ) -> None:
     path, _ = ride
     config = tmp_path / "other.toml"
-    config.write_text(
-        configuration(tmp_path, 7) + "\n[distance]\nm_per_pulse = 0.00093\n"
-    )
+    config.write_text(configuration(tmp_path, 7) + "\n[distance]\nm_per_pulse = 0.00093\n")
     out = str(tmp_path / "o.mcap")
     arguments = ("reprocess", str(path), "-o", out, "--config", str(config), "--check", "--json")
     figures = json.loads(tramstream(*arguments, status=1))
@@ -139,21 +138,18 @@ def test_part_of_a_ride_is_reprocessed_from_its_first_snapshot(ride: Any, tmp_pa
     assert json.loads(text)["identical"]
 
 
-def test_replay_gives_every_message_to_a_recorder_that_listens(
-    ride: Any, folder: Path
-) -> None:
+def test_replay_gives_every_message_to_a_recorder_that_listens(ride: Any, folder: Path) -> None:
     path, _ = ride
     environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
     router = subprocess.Popen(
-        [sys.executable, "-m", "tramstream.cli.main", "replay", str(path), "--start-paused"],
+        [*PROGRAM, "replay", str(path), "--start-paused"],
         env=environment,
         stderr=subprocess.PIPE,
     )
     try:
         wait_for((folder / "run" / "bus.sock").exists, "the first replay's bus")
         recorder = subprocess.Popen(
-            [sys.executable, "-m", "tramstream.cli.main", "record", "--out", str(folder / "out")]
-            + ["--vehicle", "copy"],
+            [*PROGRAM, "record", "--out", str(folder / "out"), "--vehicle", "copy"],
             env=environment,
             stderr=subprocess.PIPE,
         )
@@ -179,7 +175,7 @@ def test_replay_refuses_keys_of_a_live_vehicle(ride: Any, folder: Path) -> None:
     path, _ = ride
     environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
     first = subprocess.Popen(
-        [sys.executable, "-m", "tramstream.cli.main", "replay", str(path), "--loop"],
+        [*PROGRAM, "replay", str(path), "--loop"],
         env=environment,
         stderr=subprocess.DEVNULL,
     )
@@ -188,8 +184,7 @@ def test_replay_refuses_keys_of_a_live_vehicle(ride: Any, folder: Path) -> None:
 
         def refused() -> bool:
             done = subprocess.run(
-                [sys.executable, "-m", "tramstream.cli.main", "replay", str(path)]
-                + ["--duration-s", "0.1"],
+                [*PROGRAM, "replay", str(path), "--duration-s", "0.1"],
                 env=environment,
                 capture_output=True,
                 text=True,
@@ -209,7 +204,7 @@ class Running:
     def __init__(self, config: Path, folder: Path) -> None:
         self.folder = folder
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tramstream.cli.main", "run", str(config)],
+            [*PROGRAM, "run", str(config)],
             stderr=(folder / "log.txt").open("w"),
         )
 

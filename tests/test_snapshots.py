@@ -94,13 +94,13 @@ def test_restored_arrays_may_be_written() -> None:
 
 
 def test_what_could_run_code_is_refused() -> None:
-    with pytest.raises(ValueError, match="[Oo]bject"):
+    with pytest.raises(ValueError, match=r"[Oo]bject"):
         snapshots.pack({"a": np.array([print], dtype=object)})
     with pytest.raises(TypeError, match="function"):
         snapshots.pack({"a": lambda: None})
     for payload in (pickle.dumps(print), b"PK\x03\x04"):
         data = msgspec.msgpack.encode({"a": msgspec.msgpack.Ext(snapshots.ARRAY, payload)})
-        with pytest.raises(ValueError, match="magic|EOF|invalid"):
+        with pytest.raises(ValueError, match=r"magic|EOF|invalid"):
             snapshots.unpack(data)
     with pytest.raises(ValueError, match="unknown extension"):
         snapshots.unpack(msgspec.msgpack.encode({"a": msgspec.msgpack.Ext(2, b"")}))

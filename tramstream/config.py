@@ -29,7 +29,7 @@ class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Base of every section."""
 
 
-class Bus(Struct, kw_only=True):
+class Bus(Struct, frozen=True, kw_only=True):
     """Where the nodes of this vehicle meet."""
 
     runtime_dir: str = ""
@@ -37,7 +37,7 @@ class Bus(Struct, kw_only=True):
     by `default_runtime_dir`."""
 
 
-class Gnss(Struct, kw_only=True):
+class Gnss(Struct, frozen=True, kw_only=True):
     """A u-blox receiver (or any NMEA receiver) on a serial line."""
 
     device: str
@@ -51,7 +51,7 @@ class Gnss(Struct, kw_only=True):
     """A fix whose receiver says worse than this is published but not valid."""
 
 
-class Imu(Struct, kw_only=True):
+class Imu(Struct, frozen=True, kw_only=True):
     """An ADIS16465 behind a microcontroller on a serial line (docs/imu-framing.md)."""
 
     device: str
@@ -62,7 +62,7 @@ class Imu(Struct, kw_only=True):
     """Samples per message: one message a window of the resampler."""
 
 
-class Signal(Struct, kw_only=True):
+class Signal(Struct, frozen=True, kw_only=True):
     """One signal of the DBC and what it means."""
 
     message: str
@@ -71,7 +71,7 @@ class Signal(Struct, kw_only=True):
     """Physical value of the DBC times `scale` is pulses, m/s, 0/1 or newtons."""
 
 
-class Wheel(Struct, kw_only=True):
+class Wheel(Struct, frozen=True, kw_only=True):
     """One wheel: pulses since the last message, a free-running counter, or a speed."""
 
     message: str
@@ -83,7 +83,7 @@ class Wheel(Struct, kw_only=True):
     """Where a counter wraps."""
 
 
-class Odometer(Struct, kw_only=True):
+class Odometer(Struct, frozen=True, kw_only=True):
     """Wheels, doors and motor force from a CAN bus."""
 
     interface: str = "socketcan"
@@ -98,7 +98,7 @@ class Odometer(Struct, kw_only=True):
     """No frame for so long: the interface is looked at and opened again."""
 
 
-class Resampler(Struct, kw_only=True):
+class Resampler(Struct, frozen=True, kw_only=True):
     """2 kHz to 100 Hz, and the order of everything."""
 
     factor: Count = 20
@@ -115,18 +115,20 @@ class Resampler(Struct, kw_only=True):
     """Without an inertial sample for so long, ticks move the horizon."""
 
 
-class Distance(Struct, kw_only=True):
+class Distance(Struct, frozen=True, kw_only=True):
     """The travelled-distance filter of konecny2004."""
 
     m_per_pulse: Positive = 0.00092038845
     """2π·0.3 m / 2048 (theory.md section 2): the reference vehicle's wheel."""
     acceleration_std_mps2: Positive = 1.0
     """White acceleration between measurements: trams brake with 1 m/s² in service."""
+    wheel_stamp_std_s: NotNegative = 0.002
+    """Jitter of a reading's arrival, on the CAN bus and in the adapter."""
     wheel_speed_std_mps: Positive = 0.05
     gate_sigma: Positive = 5.0
 
 
-class Recorder(Struct, kw_only=True):
+class Recorder(Struct, frozen=True, kw_only=True):
     """Where and how records are written."""
 
     directory: str = "records"
@@ -140,7 +142,7 @@ class Recorder(Struct, kw_only=True):
     """Key expressions, relative to `tram/<vehicle>/`, that are not recorded."""
 
 
-class Simulator(Struct, kw_only=True):
+class Simulator(Struct, frozen=True, kw_only=True):
     """A device that does not exist: speaks a real device's bytes on a pseudo terminal."""
 
     kind: Literal["ride", "gnss_file", "can_file", "imu_still"]
@@ -153,7 +155,7 @@ class Simulator(Struct, kw_only=True):
     loop: bool = False
 
 
-class Vehicle(Struct, kw_only=True):
+class Vehicle(Struct, frozen=True, kw_only=True):
     """Everything about one vehicle."""
 
     vehicle: VehicleId

@@ -244,7 +244,7 @@ class ProcessorNode(Node):
                 silence_s=reader.silence_s,
             )
             for processor in self._consumers.get(reader.port.key.path, ()):
-                counters = getattr(processor, "device_counters", dict)()
+                counters: dict[str, Any] = getattr(processor, "device_counters", dict)()
                 for name, value in counters.items():
                     if name == "rejected_by_reason":
                         message.rejected_by_reason.update(value)

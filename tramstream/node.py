@@ -187,7 +187,7 @@ class Node(ABC):
             known = self._topics[key.path] = (key.on(self.vehicle), key.encoding)
         return self.bus.publish(known[0], message.SerializeToString(), known[1], sequence)
 
-    def log(self, text: str, level: Log.Level = Log.WARNING) -> None:
+    def log(self, text: str, level: Log.Level.ValueType = Log.WARNING) -> None:
         """Say one sentence on `health/<node>/log`."""
         message = Log(level=level, message=_printable(text), name=self.name)
         self.publish(keys.LOG.at(self.name), message)

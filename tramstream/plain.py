@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
 
@@ -28,7 +27,7 @@ def to_dict(message: Message) -> dict[str, Any]:
     return result
 
 
-def _plain(field: FieldDescriptor, value: Any) -> Any:
+def _plain(field: Any, value: Any) -> Any:
     if isinstance(value, Message):
         return to_dict(value)
     if isinstance(value, bytes):

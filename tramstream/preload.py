@@ -6,7 +6,7 @@ import os
 # One thread each: a forked process does not inherit threads, and nodes use one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tramstream.process import import_nodes  # noqa: E402
+from tramstream.process import import_nodes
 
 import_nodes()
 gc.collect()

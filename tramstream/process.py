@@ -70,7 +70,7 @@ def _main(name: str, config: str) -> None:
     try:
         run_node(name, Path(config), stop)
     except TramstreamError as error:
-        print(f"tramstream: node {name}: {error}", file=sys.stderr)
+        sys.stderr.write(f"tramstream: node {name}: {error}\n")
         sys.exit(error.exit_status)
 
 
