@@ -14,7 +14,7 @@ import socket
 import termios
 import time
 from contextlib import suppress
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import serial
@@ -135,7 +135,9 @@ class CanPort:
         self._bus: Any = None
         self._index = 0  # of the network interface when it was opened
         self._dropped = 0  # the socket's own count
-        self._failure: OSError | None = None  # comes once only, and after frames that were good
+        self._count_drops = partial(int, 0)
+        self._failure: OSError | None = None  # comes once only, and before frames that still wait
+        self._arrivals = socketcan.Arrivals()
         self._lines = SlcanLines()
         self._heard_s = 0.0
         self._failures: tuple[type[Exception], ...] = _GONE
@@ -161,6 +163,8 @@ class CanPort:
             self._bus = can.Bus(**self._options())
             if self._config.interface == "socketcan":
                 socketcan.prepare(self._bus.socket)
+                self._count_drops = partial(socketcan.drop_count, self._bus.socket)
+                self._arrivals = socketcan.Arrivals()
             elif self._config.interface == "slcan":
                 self._bus.serialPortOrig.exclusive = True
         except (*self._failures, ValueError, NotImplementedError, ImportError) as error:
@@ -194,8 +198,6 @@ class CanPort:
         if self._bus is None:
             raise DeviceError(f"{self.device}: read before it was opened")
         try:
-            if self._failure is not None:
-                raise self._failure
             if self._config.interface == "socketcan":
                 frames = self._read_socket()
             elif self._config.interface == "slcan":
@@ -215,24 +217,31 @@ class CanPort:
         return message
 
     def _read_socket(self) -> list[CanFrame]:
-        """Take all that waits in the socket; the kernel stamped each frame when it came."""
+        """Take all that waits in the socket; the kernel stamped each frame when it came.
+
+        When the link goes down, the kernel says so at once, once, and before the frames that it
+        still holds: these are read first.
+        """
         frames: list[CanFrame] = []
         bus_socket: socket.socket = self._bus.socket
-        if not _wait(bus_socket.fileno(), WAIT_S):
-            return frames
-        time.sleep(CAN_GATHER_S)
-        while len(frames) < FRAME_LIMIT:
+        began_s = time.monotonic()
+        if self._failure is None and _wait(bus_socket.fileno(), WAIT_S):
+            time.sleep(CAN_GATHER_S)
+        self._arrivals.look()
+        for _ in range(FRAME_LIMIT):
             try:
                 octets, ancillary, _, _ = bus_socket.recvmsg(
                     socketcan.FD_SIZE, socketcan.ANCILLARY_SIZE, socket.MSG_DONTWAIT
                 )
             except BlockingIOError:
+                self._arrivals.empty_since(began_s)
+                frames += self._losses_at_the_end()
                 break
             except OSError as error:
                 self._failure = error
-                break
+                continue
             stamped_s, dropped = socketcan.read_ancillary(ancillary, self._dropped)
-            stamp_ns = self._arrival_ns(stamped_s)
+            stamp_ns = self._before_ns(self._arrivals.age_s(stamped_s))
             if dropped != self._dropped:
                 lost = (dropped - self._dropped) & 0xFFFFFFFF
                 frames.append(host_overflow(stamp_ns, self.device, lost))
@@ -241,6 +250,14 @@ class CanPort:
         if self._failure is not None and not frames:
             raise self._failure
         return frames
+
+    def _losses_at_the_end(self) -> list[CanFrame]:
+        """What was lost after the last frame: else only a next one tells, which may never come."""
+        lost = (self._count_drops() - self._dropped) & 0xFFFFFFFF
+        if not 0 < lost < 1 << 31 or _wait(self._bus.socket.fileno(), 0.0):
+            return []  # none, or no end yet
+        self._dropped = (self._dropped + lost) & 0xFFFFFFFF
+        return [host_overflow(self._clock.now_ns(), self.device, lost)]
 
     def _read_line(self) -> list[CanFrame]:
         """Take the adapter's lines as they come: nobody else notes their arrival."""
@@ -277,17 +294,17 @@ class CanPort:
         return frames
 
     def _arrival_ns(self, stamped_s: float) -> int:
-        """Vehicle time of a frame that was stamped with the host's wall clock.
+        """Vehicle time of a frame that python-can stamped with the host's wall clock.
 
         The wall clock may be set at any moment and some adapters stamp with their own, so only the
         age of a frame is taken from it, and only where it can be one: frames wait for less than a
         second. Anything else counts as having come just now.
         """
         age_s = time.time() - stamped_s
-        now_ns = self._clock.now_ns()
-        if 0.0 <= age_s < 1.0:
-            return now_ns - int(age_s * self._clock.rate * S)
-        return now_ns
+        return self._before_ns(age_s if 0.0 <= age_s < 1.0 else 0.0)
+
+    def _before_ns(self, age_s: float) -> int:
+        return self._clock.now_ns() - int(age_s * self._clock.rate * S)
 
     def _check_silence(self) -> None:
         """After long silence, look whether the interface is still the one that was opened.
@@ -373,19 +390,4 @@ def _drain(descriptor: int, device: str) -> bytes:
 
 
 def _interface_index(config: Odometer) -> int:
-    """Index of the network interface, which has to be there and up."""
-    name = config.channel
-    try:
-        index = socket.if_nametoindex(name)
-        flags = int(Path("/sys/class/net", name, "flags").read_text(), 16)
-    except OSError as error:
-        raise DeviceError(
-            f"{name}: there is no such network interface; plug the adapter in, load its driver, or "
-            "correct $.odometer.channel (ip link shows what there is)"
-        ) from error
-    if not flags & socketcan.IFF_UP:
-        raise DeviceError(
-            f"{name}: the interface is down; sudo ip link set {name} up type can "
-            f"bitrate {config.bitrate} restart-ms 100"
-        )
-    return index
+    return socketcan.interface_index(config.channel, config.bitrate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import grp
 import json
+import math
 import os
 import pwd
 import shutil
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tramstream import keys, registry
+from tramstream.bridges import socketcan
 from tramstream.cli.checkup import Finding, fail, from_error, ok, warning
 from tramstream.clock import VehicleClock
 from tramstream.config import Odometer, Vehicle
@@ -24,8 +26,6 @@ from tramstream.processor import Sample
 LISTEN_S = 3.0
 """Every device of a tram has said something twice by then."""
 BY_ID = Path("/dev/serial/by-id")
-_CAN_TYPE = "280"
-"""ARPHRD_CAN (linux/if_arp.h)."""
 _RIVALS = {
     "gpsd": "sudo systemctl disable --now gpsd.socket gpsd",
     "ModemManager": "sudo systemctl disable --now ModemManager",
@@ -66,10 +66,10 @@ def _check_rights(devices: list[Path]) -> Finding:
 def check_can_interfaces() -> list[Finding]:
     """CAN interfaces of the kernel."""
     found = []
-    for folder in sorted(Path("/sys/class/net").glob("*")):
+    for folder in sorted(socketcan.INTERFACES.glob("*")):
         try:
-            if (folder / "type").read_text().strip() == _CAN_TYPE:
-                state = (folder / "operstate").read_text().strip()
+            if (folder / "type").read_text().strip() == socketcan.CAN_TYPE:
+                state = "up" if socketcan.is_interface_up(folder) else "down"
                 found.append(f"{folder.name} ({state})")
         except OSError:
             continue  # went away meanwhile
@@ -105,6 +105,7 @@ def check_device(name: str, vehicle: Vehicle, alive: list[str]) -> list[Finding]
     if vehicle.odometer is not None and name == "odometer":
         found.append(ok(name, f"{vehicle.odometer.dbc} has all signals"))
         found += check_bit_rate(vehicle.odometer)
+        found += check_queue(vehicle.odometer)
     if keys.alive(vehicle.vehicle, name) in alive:
         return [*found, ok(name, f"{port.device} is in use by the running node {name}")]
     path = Path(port.device)
@@ -174,7 +175,7 @@ def _has_open(number: int, target: str) -> bool:
 
 def _listen(name: str, port: Any, bridge: Any) -> Finding:
     """Open the device and let its bridge work on what it says, until something is understood."""
-    received = 0
+    frames = received = 0
     end_s = time.monotonic() + LISTEN_S
     try:
         port.open()
@@ -182,6 +183,7 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
             message = port.read()
             if message is None:
                 continue
+            frames += 1
             received += size(message)
             results = bridge.step(Sample(port.key, message, message.stamp_ns, 0))
             if results:
@@ -191,7 +193,7 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
         return from_error(name, error)
     finally:
         port.close()
-    if not received:
+    if not frames:
         text = f"{port.device}: silent for {LISTEN_S:g} s"
         return warning(name, text, "check its power and cable, and what it is set to send")
     rate = "bit rate" if name == "odometer" else f"$.{name}.baud_rate"
@@ -204,12 +206,25 @@ def check_bit_rate(odometer: Odometer) -> list[Finding]:
     if odometer.interface != "socketcan" or shutil.which("ip") is None:
         return []
     command = ["ip", "-json", "-details", "link", "show", odometer.channel]
-    shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=5)
     try:
+        shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=5)
         info = json.loads(shown.stdout or "[]")[0]["linkinfo"]["info_data"]
-    except (ValueError, LookupError):
+    except (ValueError, LookupError, OSError, subprocess.TimeoutExpired):
         return []  # no such interface, or one without a bit rate: opening it will tell
     return judge_link(odometer, info)
+
+
+def check_queue(odometer: Odometer) -> list[Finding]:
+    """Whether the kernel may hold as many frames as the bridge asks it to."""
+    if odometer.interface != "socketcan":
+        return []
+    granted, wanted = socketcan.granted_bytes(), socketcan.BUFFER_BYTES
+    if granted >= wanted:
+        return []
+    frames = math.ceil(2 * granted / socketcan.FRAME_COST_BYTES)
+    text = f"the kernel holds {frames} frames for us; what comes beyond while we wait is lost"
+    cure = f"sudo sysctl -w net.core.rmem_max={wanted}, and in /etc/sysctl.d to make it last"
+    return [warning("odometer", f"{odometer.channel}: {text}", cure)]
 
 
 def judge_link(odometer: Odometer, info: dict[str, Any]) -> list[Finding]:

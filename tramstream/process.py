@@ -29,6 +29,7 @@ PRELOAD = "tramstream.preload"
 def run_node(name: str, config: Path, stop: threading.Event) -> None:
     """Run one node of the vehicle in `config` until `stop` is set."""
     vehicle = load(config)
+    registry.check_node(name, vehicle)  # before waiting for a router that may never come
     clock = VehicleClock.shared(vehicle.runtime_dir)
     bus: Bus = ZenohBus.connect(vehicle.runtime_dir, clock, stop)
     try:

@@ -64,14 +64,28 @@ def node_names(vehicle: Vehicle, separate: bool = False) -> list[str]:
     return ["recorder", *simulators, *processors, *configured_bridges(vehicle)]
 
 
+def check_node(name: str, vehicle: Vehicle) -> None:
+    """Refuse a node that does not exist or that the configuration has no section for.
+
+    Raises
+    ------
+    ConfigError
+        One sentence; it lists the nodes that there are.
+    """
+    known = [PROCESSORS, *names("processors"), *names("bridges"), *names("nodes")]
+    if name not in known:
+        raise ConfigError(f"no node is called {name!r}; there are: {', '.join(known)}, router")
+    if name in names("bridges") and getattr(vehicle, name, None) is None:
+        raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
+
+
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:
     """Build the node called `name`."""
     # Not above: the supervisor needs names only, and a router with numpy takes 15 MB more.
     from tramstream.host import ProcessorNode
 
+    check_node(name, vehicle)
     if name in names("bridges"):
-        if getattr(vehicle, name, None) is None:
-            raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
         bridge = load("bridges", name)(vehicle)
         port = load("ports", name)(vehicle, bus.clock)
         return ProcessorNode(name, vehicle.vehicle, bus, stop, [bridge], [port])
@@ -84,8 +98,5 @@ def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> N
         return ProcessorNode(
             name, vehicle.vehicle, bus, stop, processors, (), snapshot_path, digest
         )
-    if name in names("nodes"):
-        build: Callable[[Vehicle, Bus, threading.Event], Node] = load("nodes", name)
-        return build(vehicle, bus, stop)
-    known = ", ".join([PROCESSORS, *names("processors"), *names("bridges"), *names("nodes")])
-    raise ConfigError(f"no node is called {name!r}; there are: {known}")
+    build: Callable[[Vehicle, Bus, threading.Event], Node] = load("nodes", name)
+    return build(vehicle, bus, stop)
