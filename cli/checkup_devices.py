@@ -197,7 +197,8 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
         text = f"{port.device}: silent for {LISTEN_S:g} s"
         return warning(name, text, "check its power and cable, and what it is set to send")
     rate = "bit rate" if name == "odometer" else f"$.{name}.baud_rate"
-    text = f"{port.device}: {received} bytes in {LISTEN_S:g} s, but nothing that {name} understands"
+    what = f"{received} bytes" if received else "empty frames"
+    text = f"{port.device}: {what} in {LISTEN_S:g} s, but nothing that {name} understands"
     return warning(name, text, f"check {rate} and that it is the right device")
 
 

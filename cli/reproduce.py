@@ -33,25 +33,28 @@ def reproduce(
     from rich.table import Table
 
     table = Table(
-        title=f"{name}: travelled distance, σ = 40 m, {konecny2004.RUNS} runs of "
-        f"{konecny2004.STEPS} steps, seed {seed}"
+        title=f"{name}: travelled distance, σ = 40 m; {konecny2004.RUNS} runs of "
+        f"{konecny2004.STEPS} steps",
+        box=None,
+        pad_edge=False,
+        collapse_padding=True,
     )
-    columns = ("case", "raw [m]", "predicted [m]", "filtered [m]", "gain", "speed [m/s]", "±2σ")
+    columns = ("case", "raw m", "predicted m", "filtered m", "gain", "speed m/s", "±2σ")
     for column in columns:
-        table.add_column(column, justify="left" if column == "case" else "right")
+        table.add_column(column, justify="left" if column == "case" else "right", no_wrap=True)
     for case in cases:
         table.add_row(
             case.name,
             f"{case.raw_rmse_m:.2f}",
             f"{case.predicted_rmse_m:.2f}",
             f"{case.filtered_rmse_m:.2f}",
-            f"{case.gain:.2f}×",
+            f"{case.gain:.2f}",
             f"{case.speed_rmse_mps:.2f}",
             f"{100 * case.within_two_sigma:.1f} %",
         )
     console = Console()
     console.print(table)
     console.print(
-        "Root mean square errors. raw: the measurement itself; predicted: before, filtered: after "
-        "the data step;\ngain: raw / filtered. The last line is what ignoring the interval costs."
+        "Root mean square errors. raw: the measurement; predicted: before, filtered: after "
+        "the data step;\ngain: raw / filtered. The last line: the filter takes the mean for the interval."
     )

@@ -109,5 +109,5 @@ def cases(seed: int, runs: int = RUNS) -> list[Case]:
     return [
         study("constant interval", False, False, seed, runs),
         study("irregular interval", True, False, seed, runs),
-        study("irregular, filter told the mean", True, True, seed, runs),
+        study("irregular, told mean", True, True, seed, runs),
     ]
