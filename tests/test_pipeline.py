@@ -53,10 +53,14 @@ def wait_for(condition: Callable[[], Any], what: str) -> Any:
 
 @pytest.fixture(scope="module")
 def ride(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A demo ride of a few seconds at five times real time, faults included, and its figures."""
+    """A demo ride, faults included, and its figures.
+
+    In real time: a pseudo terminal holds 18 kB, a quarter of a second of the IMU, and a test machine
+    may be as busy as that.
+    """
     path = tmp_path_factory.mktemp("ride") / "d.mcap"
     text = tramstream(
-        *("demo", "--duration-s", "45", "--rate", "2.5", "--headless", "--json"),
+        *("demo", "--duration-s", "44", "--headless", "--json"),
         *("--out", str(path)),
     )
     return path, json.loads(text)

@@ -1,8 +1,8 @@
 """Buses of the guest of `run.py`, and who speaks on them; a plugin of pytest for its fixtures.
 
-The tests in `guest_*.py` make, stop and delete network interfaces and set the clock: they run in the
-guest only. `vcan0` is a virtual interface; `can0` and `can1` are two emulated SJA1000 controllers
-on one wire.
+The tests in `guest_*.py` make, stop and delete network interfaces and set the clock: they run in
+the guest only. `vcan0` is a virtual interface; `can0` and `can1` are two emulated SJA1000
+controllers on one wire.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def stamps_of(message: CanFrames) -> list[int]:
 
 
 def drain(port: CanPort, found: list[Content] | None = None) -> list[Content]:
-    """Frames until there are none; gathered in `found`, which holds them also if the link is lost."""
+    """Frames until there are none; they are in `found` also if the link is lost."""
     found = [] if found is None else found
     while (message := port.read()) is not None:
         found += contents(message)

@@ -1,7 +1,7 @@
 """Run `guest_*.py` on a real kernel with CAN, inside qemu: `python tests/vcan/run.py`.
 
-Containers and many servers have a kernel without CAN. This boots Debian's in software (no KVM, no
-root, no network in the guest), with the host's `/` mounted read-only, so that the guest runs this
+Containers and many servers have a kernel without CAN. This boots Debian's in software (no KVM,
+no network in the guest), with the host's `/` mounted read-only, so that the guest runs this
 very interpreter and this very working tree. The guest has
 
 - `vcan0`, made by the tests themselves, and
@@ -10,8 +10,8 @@ very interpreter and this very working tree. The guest has
 
 Needs `qemu-system-x86`, `busybox-static` and `iproute2`; the kernel's package comes by `apt-get
 download` once, is kept in the cache folder and is never installed. Whatever follows the options
-goes to pytest in the guest: `run.py -k flood -s`. The exit status is pytest's, 97 if the guest never
-got so far, 98 if something is absent here.
+goes to pytest in the guest: `run.py -k flood -s`. The exit status is pytest's, 97 if the guest
+never got so far, 98 if something is absent here.
 """
 
 from __future__ import annotations

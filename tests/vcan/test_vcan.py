@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,10 +34,10 @@ def test_archive_is_laid_out_as_the_kernel_wants_it(tmp_path: Path) -> None:
     assert len(data) % 4 == 0
     assert data.count(b"070701") == 3
     assert b"TRAILER!!!\0" in data
-    busybox = run.shutil.which("cpio")
-    if busybox is None:
+    cpio = shutil.which("cpio")
+    if cpio is None:
         pytest.skip("cpio is absent: apt-get install cpio")
-    subprocess.run([busybox, "-id"], input=data, cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run([cpio, "-id"], input=data, cwd=tmp_path, check=True, capture_output=True)
     assert (tmp_path / "bin" / "x").read_bytes() == b"12345"
     assert (tmp_path / "bin" / "x").stat().st_mode & 0o777 == 0o755
 
