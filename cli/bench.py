@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,6 +12,9 @@ def bench(
     live_s: Annotated[
         float, typer.Option("--live-s", help="Length of the live run; 0 leaves it out.", min=0.0)
     ] = 20.0,
+    ubx: Annotated[
+        Path | None, typer.Option(help="Receiver capture to frame and decode, not simulated bytes.")
+    ] = None,
     only: Annotated[str, typer.Option(help="Run only stages whose name contains this.")] = "",
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -22,14 +26,15 @@ def bench(
     import json
 
     from tramstream.cli.bench_live import bus_round_trip, live_pipeline
-    from tramstream.cli.bench_stages import STAGES, Figure
+    from tramstream.cli import bench_stages
+    from tramstream.cli.bench_stages import Figure
     from tramstream.cli.session import say
 
     figures: list[Figure] = []
-    for name, measure in STAGES.items():
+    for name, measure in bench_stages.STAGES.items():
         if only in name:
             say(f"{name} …")
-            figures += measure()
+            figures += bench_stages.ubx(ubx) if name == "ubx" else measure()
     if only in "bus":
         say("bus …")
         figures += bus_round_trip()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,9 @@ import numpy as np
 
 from tramstream import keys
 from tramstream.bus import Envelope, ZenohBus
-from tramstream.cli import fleet
 from tramstream.cli.bench_stages import Figure, median_s
 from tramstream.cli.demo import configuration
 from tramstream.clock import S, VehicleClock
-from tramstream.config import load
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.rerun import Rerun, rerun
 from tramstream.ring import Ring
@@ -87,13 +87,7 @@ def live_pipeline(duration_s: float) -> list[Figure]:
         folder = Path(name)
         config = folder / "bench.toml"
         config.write_text(configuration(folder, seed=1))
-        vehicle = load(config)
-        with fleet.running(vehicle, config, lambda text: None) as run:
-            usage, never = _Usage(), threading.Event()
-            run.until(never, WARM_UP_S)
-            usage.begin(run.children)
-            run.until(never, duration_s)
-            usage.end(run.children)
+        usage = _measure(config, duration_s)
         (path,) = (folder / "records").glob("*.mcap")
         with open_record(path) as record:
             latency = _latency(record)
@@ -109,8 +103,9 @@ def live_pipeline(duration_s: float) -> list[Figure]:
     simulators = cpu.pop("simulators")
     rss_mb = sum(usage.rss_mb[name] for name in cpu)
     pss_mb = sum(usage.pss_mb[name] for name in cpu)
+    others = sorted(set(cpu) - {"recorder"})
     return [
-        *(Figure(f"live_{name}_core_percent", cpu[name]) for name in cpu if name != "recorder"),
+        *(Figure(f"live_{name}_core_percent", cpu[name]) for name in others),
         Figure("live_recorder_core_percent", cpu["recorder"], 5.0, False),
         Figure("live_pipeline_core_percent", sum(cpu.values()), 25.0, False),
         Figure("live_pipeline_pss_mb", pss_mb, 200.0, False),
@@ -120,6 +115,21 @@ def live_pipeline(duration_s: float) -> list[Figure]:
         Figure("reprocess_times_real_time", result.duration_s / elapsed_s, 100.0),
         Figure("reprocess_identical", float(result.identical), 1.0),
     ]
+
+
+def _measure(config: Path, duration_s: float) -> _Usage:
+    """Run the vehicle as a user would, and watch its processes."""
+    command = [sys.executable, "-m", "tramstream.cli.main", "run", str(config)]
+    program = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        time.sleep(WARM_UP_S)
+        usage = _Usage(program.pid)
+        time.sleep(duration_s)
+        usage.end()
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait(30)
+    return usage
 
 
 def _latency(record: Record) -> list[Figure]:
@@ -140,42 +150,57 @@ def _latency(record: Record) -> list[Figure]:
 
 
 class _Usage:
-    """Processor time and memory of the nodes' processes, from /proc."""
+    """Processor time and memory of a program and all below it, from /proc, by role."""
 
-    def __init__(self) -> None:
+    def __init__(self, root: int) -> None:
+        self._root = root
+        self._begin_s = time.monotonic()
+        self._before = {pid: _cpu_s(pid) for pid in _tree(root)}
         self.cpu_percent: dict[str, float] = {}
         self.rss_mb: dict[str, float] = {}
         self.pss_mb: dict[str, float] = {}
-        self._before: dict[str, float] = {}
-        self._begin_s = 0.0
 
-    def begin(self, children: list[Any]) -> None:
-        self._begin_s = time.monotonic()
-        self._before = {name: _cpu_s(pid) for name, pid in _pids(children).items()}
-
-    def end(self, children: list[Any]) -> None:
+    def end(self) -> None:
+        """Take the second reading."""
         elapsed_s = time.monotonic() - self._begin_s
-        for name, pid in _pids(children).items():
-            used_s = _cpu_s(pid) - self._before[name]
-            self.cpu_percent[name] = 100.0 * used_s / elapsed_s
+        for pid in _tree(self._root):
+            role = "router" if pid == self._root else _role(pid)
+            used_s = _cpu_s(pid) - self._before.get(pid, 0.0)
             memory = _memory_mb(pid)
-            self.rss_mb[name], self.pss_mb[name] = memory["Rss"], memory["Pss"]
+            for table, value in (
+                (self.cpu_percent, 100.0 * used_s / elapsed_s),
+                (self.rss_mb, memory["Rss"]),
+                (self.pss_mb, memory["Pss"]),
+            ):
+                table[role] = table.get(role, 0.0) + value
 
 
-def _pids(children: list[Any]) -> dict[str, str]:
-    """Process of every node; the router's is this one."""
-    pids = {c.name: str(c.process.pid) for c in children if c.process is not None}
-    return {**pids, "router": "self"}
+def _role(pid: int) -> str:
+    """A node's name, which it gave itself; the fork server and its tracker are the server."""
+    name = Path(f"/proc/{pid}/comm").read_text().strip()
+    return name.removeprefix("tram-") if name.startswith("tram-") else "server"
 
 
-def _cpu_s(pid: str) -> float:
-    import os
+def _tree(root: int) -> list[int]:
+    """A process and all its descendants."""
+    parents = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with suppress(OSError):  # gone since
+                status = (entry / "stat").read_text().rsplit(") ", 1)[1].split()
+                parents[int(entry.name)] = int(status[1])
+    found = [root]
+    for pid in found:
+        found += [child for child, parent in parents.items() if parent == pid]
+    return found
 
+
+def _cpu_s(pid: int) -> float:
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _memory_mb(pid: str) -> dict[str, float]:
+def _memory_mb(pid: int) -> dict[str, float]:
     found = {}
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
         name, _, rest = line.partition(":")

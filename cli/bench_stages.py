@@ -90,8 +90,9 @@ def _reads(data: bytes, size: int) -> list[RawBytes]:
     ]
 
 
-def ubx() -> list[Figure]:
-    data = gnss_bytes() * 4
+def ubx(capture: Path | None = None) -> list[Figure]:
+    """Framing, and the whole bridge, on `capture` or on what the simulated receiver says."""
+    data = capture.read_bytes() if capture is not None else gnss_bytes() * 4
 
     def frame() -> None:
         framer = framing.Framer()

@@ -56,5 +56,6 @@ def reproduce(
     console.print(table)
     console.print(
         "Root mean square errors. raw: the measurement; predicted: before, filtered: after "
-        "the data step;\ngain: raw / filtered. The last line: the filter takes the mean for the interval."
+        "the data step;\ngain: raw / filtered. In the last line the filter is told the mean "
+        "interval, not the true one."
     )

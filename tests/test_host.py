@@ -351,15 +351,17 @@ def test_bytes_that_the_decoder_chokes_on_are_in_the_record_all_the_same(world: 
     assert node.faults == 1
 
 
-def test_can_frames_are_published_as_they_come_with_numbers(world: World) -> None:
-    frames = [CanFrames(stamp_ns=START_NS + n, id=[n], data=[b"x"]) for n in range(3)]
+def test_can_frames_are_joined_and_published_with_numbers(world: World) -> None:
+    frames = [
+        CanFrames(stamp_ns=START_NS + n, offset_ns=[0], id=[n], flags=[0], data=[b"x"])
+        for n in range(3)
+    ]
     world.read(frames, keys.ODO_FRAMES)
     found = world.ear.heard(keys.ODO_FRAMES)
-    assert [(message.sequence, list(message.id)) for message in found] == [
-        (1, [0]),
-        (2, [1]),
-        (3, [2]),
-    ]
+    assert [id_ for message in found for id_ in message.id] == [0, 1, 2]
+    assert [message.sequence for message in found] == list(range(1, len(found) + 1))
+    arrivals = [m.stamp_ns + offset_ns for m in found for offset_ns in m.offset_ns]
+    assert arrivals == [START_NS, START_NS + 1, START_NS + 2]
 
 
 def test_device_that_is_lost_and_back_is_told_in_health(world: World) -> None:

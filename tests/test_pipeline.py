@@ -55,8 +55,8 @@ def wait_for(condition: Callable[[], Any], what: str) -> Any:
 def ride(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A demo ride, faults included, and its figures.
 
-    In real time: a pseudo terminal holds 18 kB, a quarter of a second of the IMU, and a test machine
-    may be as busy as that.
+    In real time: a pseudo terminal holds 18 kB, a quarter of a second of the IMU, and a test
+    machine may be as busy as that.
     """
     path = tmp_path_factory.mktemp("ride") / "d.mcap"
     text = tramstream(

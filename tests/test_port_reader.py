@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted import FakePort, Impatient, raw
 
+from tramstream.clock import S
 from tramstream.errors import DeviceError
 from tramstream.ports import BACKOFF_FIRST_S, BACKOFF_MAX_S, SILENT_S, PortReader, join_reads, size
 from tramstream.proto.health_pb2 import DeviceHealth
@@ -114,6 +115,32 @@ def test_joined_reads_keep_every_byte_and_arrival(parts: list[bytes]) -> None:
         assert joined.stamp_ns + offset_ns == read.stamp_ns
         begin += length
     assert joined.device == "/dev/fake"
+
+
+@given(st.lists(st.lists(st.integers(0, 20_000_000), min_size=1, max_size=5), min_size=1))
+def test_joined_frames_keep_every_frame_and_arrival(offsets: list[list[int]]) -> None:
+    reads = [
+        CanFrames(
+            stamp_ns=S + index * 20_000_000,
+            device="can0",
+            offset_ns=sorted(group),
+            id=range(len(group)),
+            flags=[index % 8] * len(group),
+            data=[bytes([index % 256])] * len(group),
+        )
+        for index, group in enumerate(offsets)
+    ]
+
+    def frames(messages: list[CanFrames]) -> list[tuple[int, int, int, bytes]]:
+        return [
+            (message.stamp_ns + offset_ns, id_, flags, data)
+            for message in messages
+            for offset_ns, id_, flags, data in zip(
+                message.offset_ns, message.id, message.flags, message.data, strict=True
+            )
+        ]
+
+    assert frames([join_reads(reads)]) == frames(reads)
 
 
 def test_size_is_that_of_the_device_data() -> None:

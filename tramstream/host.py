@@ -23,12 +23,11 @@ from tramstream.node import Node
 from tramstream.ports import Port, PortReader, join_reads
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth
-from tramstream.proto.raw_pb2 import RawBytes
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
 
 TICK_S = 0.1
 RAW_S = 0.1
-"""Raw bytes are published this often: ten messages a second instead of two hundred."""
+"""Raw bytes and frames are published this often: ten messages a second instead of two hundred."""
 SNAPSHOT_S = 5.0
 DEVICE_HEALTH_S = 1.0
 LEAD_WINDOW_S = 2.0
@@ -69,7 +68,7 @@ class ProcessorNode(Node):
                 self._consumers.setdefault(key.path, []).append(processor)
         self._by_topic: dict[str, Key] = {}
         self._positions: dict[str, Position] = {}
-        self._raw: dict[str, list[RawBytes]] = {}
+        self._raw: dict[str, list[Any]] = {}
         self._lead = _Lead()
         self._ticks = keys.SYNC_TICK.path in self._consumers
         self._tick_sequence = 0
@@ -144,10 +143,7 @@ class ProcessorNode(Node):
         key, message = item
         if isinstance(message, Exception):
             raise message  # a bug in the port; its thread goes on
-        if isinstance(message, RawBytes):
-            self._raw.setdefault(key.path, []).append(message)
-        else:
-            self.publish_numbered(key, message)
+        self._raw.setdefault(key.path, []).append(message)
         self.dispatch(Sample(key, message, message.stamp_ns, message.sequence))
 
     def dispatch(self, sample: Sample) -> None:

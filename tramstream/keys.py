@@ -100,7 +100,7 @@ GNSS_ESF_ALIGNMENT = _key(
 GNSS_FRAME = _key("raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole")
 IMU_BYTES = _key("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes as read")
 IMU_BATCH = _key("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
-ODO_FRAMES = _key("raw/odo/frames", raw_pb2.CanFrames, 50, "arrival", "CAN frames as received")
+ODO_FRAMES = _key("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
 ODO_WHEELS = _key("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
 TRUTH_STATE = _key("raw/truth/state", raw_pb2.TruthState, 10, "state", "The simulator's truth")
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeVar
 
 from tramstream.errors import DeviceError
 from tramstream.keys import Key
@@ -20,6 +20,9 @@ BACKOFF_MAX_S = 5.0
 """A device that is away is tried at least this often."""
 SILENT_S = 3.0
 """Every device of a tram says something more often than this."""
+
+
+Raw = TypeVar("Raw", RawBytes, CanFrames)
 
 
 class Port(Protocol):
@@ -122,9 +125,19 @@ def size(message: RawBytes | CanFrames) -> int:
     return len(data) if isinstance(data, bytes) else sum(len(frame) for frame in data)
 
 
-def join_reads(reads: list[RawBytes]) -> RawBytes:
+def join_reads(reads: Sequence[Raw]) -> Raw:
     """One message of several consecutive reads; bridges get the same out of it."""
     first = reads[0]
+    if isinstance(first, CanFrames):
+        frames = CanFrames(stamp_ns=first.stamp_ns, device=first.device)
+        for read in reads:
+            # Never negative: a stamp of the kernel's may lie before that of the read before.
+            later_ns = max(0, read.stamp_ns - first.stamp_ns)
+            frames.offset_ns.extend([later_ns + offset_ns for offset_ns in read.offset_ns])
+            frames.id.extend(read.id)
+            frames.flags.extend(read.flags)
+            frames.data.extend(read.data)
+        return frames
     joined = RawBytes(device=first.device, data=b"".join(read.data for read in reads))
     for read in reads:
         joined.read_length.append(len(read.data))
