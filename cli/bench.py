@@ -25,8 +25,8 @@ def bench(
     """
     import json
 
-    from tramstream.cli.bench_live import bus_round_trip, live_pipeline
     from tramstream.cli import bench_stages
+    from tramstream.cli.bench_live import bus_round_trip, live_pipeline
     from tramstream.cli.bench_stages import Figure
     from tramstream.cli.session import say
 
