@@ -19,14 +19,16 @@ from tramstream.proto.raw_pb2 import TruthState
 NAME = "simulators"
 FAULTS = "injected"
 """Stage name of the ledgers that count injected faults: their unit is the fault's name."""
-LOST = ("overrun", "unplugged", "unheard")
+OVERRUN = "overrun"
+"""Stage name of the ledgers that count what a slow reader had no room for."""
+LOST = (OVERRUN, "unplugged", "unheard")
 
 
 class SimulatorNode(Node):
     """Runs the simulated devices in a thread and says what they did.
 
     Its ledgers: per device and unit what was produced, what reached the line (delivered) and what
-    did not (dropped); and per device the injected faults.
+    did not (dropped); of that what the reader was too slow for; and the injected faults.
     """
 
     def __init__(self, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> None:
@@ -84,6 +86,8 @@ class SimulatorNode(Node):
                 sent = device["sent"].get(unit, 0)
                 lost = sum(device[tally].get(unit, 0) for tally in LOST)
                 ledgers.append(Ledger(name, unit, sent + lost, sent, lost))
+            for unit, count in sorted(device[OVERRUN].items()):
+                ledgers.append(Ledger(f"{name} {OVERRUN}", unit, count, 0, count))
             for fault, count in sorted(device["faults"].items()):
                 ledgers.append(Ledger(f"{name} {FAULTS}", fault, count, count))
         return ledgers

@@ -110,7 +110,33 @@ def ubx(capture: Path | None = None) -> list[Figure]:
     return [
         Figure("ubx_framing_mb_s", megabytes / median_s(frame), 30.0),
         Figure("ubx_bridge_mb_s", megabytes / median_s(decode)),
+        Figure("ubx_worst_input_ms", 1e3 * max(map(_input_s, nasty_inputs())), 5.0, False),
     ]
+
+
+def nasty_inputs() -> list[bytes]:
+    """What has broken parsers: noise, a lone NMEA start, an empty RTCM, a huge frame, a short one."""
+    rng = np.random.default_rng(1)
+    return [
+        rng.bytes(4096),
+        b"$G\xff",
+        b"\xd3\x00\x00",
+        framing.ubx_frame(0x0A27, bytes(65535)),
+        framing.ubx_frame(0x0A27, rng.bytes(65535)),
+        framing.ubx_frame(0x0107, bytes(20)),
+    ]
+
+
+def _input_s(data: bytes) -> float:
+    """Time to take `data` and a good epoch after it."""
+    reads = _reads(data + gnss_bytes(2.0), 1 << 17)
+
+    def decode() -> None:
+        bridge = GnssBridge(VEHICLE)
+        for read in reads:
+            bridge.step(Sample(keys.GNSS_BYTES, read, read.stamp_ns, 0))
+
+    return median_s(decode)
 
 
 def imu() -> list[Figure]:

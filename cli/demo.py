@@ -169,6 +169,9 @@ def _print(report: Any, target: Path) -> None:
     found = ", ".join(f"{name} {count}" for name, count in report.found.items() if count)
     console.print(f"faults injected: {injected or 'none'}", soft_wrap=True, highlight=False)
     console.print(f"faults found:    {found or 'none'}", soft_wrap=True, highlight=False)
+    overrun = ", ".join(f"{name} {count}" for name, count in report.overrun.items() if count)
+    if overrun:
+        console.print(f"this machine read too late for: {overrun}", soft_wrap=True, highlight=False)
     console.print(
         f"next: tramstream info {target}; tramstream reprocess {target} -o again.mcap --check; "
         f"tramstream replay {target}",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tramstream import keys
+from tramstream.bridges.simulator_node import FAULTS, OVERRUN
 from tramstream.clock import S
 from tramstream.proto.health_pb2 import DeviceHealth, Loss, NodeHealth
 from tramstream.recorder.reader import open_record
@@ -31,6 +32,8 @@ class DemoReport:
     rates_hz: dict[str, float] = field(default_factory=dict)
     injected: dict[str, int] = field(default_factory=dict)
     found: dict[str, int] = field(default_factory=dict)
+    overrun: dict[str, int] = field(default_factory=dict)
+    """What the simulated lines had no room for, because this machine read too late."""
     unbalanced: list[str] = field(default_factory=list)
     """Stages whose ledger does not add up."""
 
@@ -99,8 +102,11 @@ def _faults(report: DemoReport, last: dict[str, Any]) -> None:
     for path, message in last.items():
         if isinstance(message, NodeHealth):
             for stage in message.stages:
-                if stage.stage.endswith(" injected"):
-                    report.injected[f"{stage.stage.split()[0]} {stage.unit}"] = stage.delivered
+                device, _, kind = stage.stage.partition(" ")
+                if kind == FAULTS:
+                    report.injected[f"{device} {stage.unit}"] = stage.delivered
+                elif kind == OVERRUN:
+                    report.overrun[f"{device} {stage.unit}"] = stage.dropped
                 elif stage.received != stage.delivered + stage.dropped + stage.pending:
                     report.unbalanced.append(f"{path}: {stage.stage} {stage.unit}")
         else:
