@@ -115,7 +115,7 @@ def ubx(capture: Path | None = None) -> list[Figure]:
 
 
 def nasty_inputs() -> list[bytes]:
-    """What has broken parsers: noise, a lone NMEA start, an empty RTCM, a huge frame, a short one."""
+    """What has broken parsers: noise, lone starts, a huge frame, a short one."""
     rng = np.random.default_rng(1)
     return [
         rng.bytes(4096),
