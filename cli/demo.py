@@ -47,18 +47,19 @@ def demo(
     target.parent.mkdir(parents=True, exist_ok=True)
     stop = stop_on_signals()
     folder = Path(tempfile.mkdtemp(prefix="tramstream-demo-", dir="/tmp"))
-    try:
-        config = folder / "demo.toml"
-        config.write_text(configuration(folder, seed))
-        vehicle = load(config)
-        with fleet.running(vehicle, config, say, rate=rate) as run:
-            _watch(run, stop, duration_s, headless or json_)
-        parts = sorted((folder / "records").glob("*.mcap"))
-        if len(parts) != 1:
-            raise DamagedRecordError(f"the recorder left {len(parts)} files in {folder}/records")
-        shutil.move(parts[0], target)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    config = folder / "demo.toml"
+    config.write_text(configuration(folder, seed))
+    vehicle = load(config)
+    with fleet.running(vehicle, config, say, rate=rate) as run:
+        _watch(run, stop, duration_s, headless or json_)
+    parts = sorted((folder / "records").glob("*.mcap*"))
+    if len(parts) != 1 or parts[0].suffix != ".mcap":
+        raise DamagedRecordError(
+            f"the recorder left {len(parts)} files in {folder}/records and they were kept; "
+            "`tramstream recover` saves what is in them"
+        )
+    shutil.move(parts[0], target)
+    shutil.rmtree(folder, ignore_errors=True)  # not before the record is in its place
     from tramstream.cli.demo_report import summarise  # numpy, only now that the ride is over
 
     report = summarise(target)

@@ -41,17 +41,17 @@ def import_(
     import json
 
     from tramstream.cli.import_sources import Imports
-    from tramstream.cli.session import say
+    from tramstream.cli.session import make_room, say
     from tramstream.errors import ConfigError
 
     if ubx is not None and nmea is not None:
         raise ConfigError("--ubx and --nmea are one receiver each; import them one by one")
     if can is not None and dbc is None and config is None:
         raise ConfigError("--can needs --dbc (or --config with an [odometer] section)")
-    if all(source is None for source in (ubx, nmea, adis, can)):
+    sources = [source for source in (ubx, nmea, adis, can) if source is not None]
+    if not sources:
         raise ConfigError("nothing to import; give --ubx, --nmea, --adis or --can")
-    if overwrite:
-        out.unlink(missing_ok=True)
+    make_room(out, sources, overwrite)
     imports = Imports(config, vehicle, model)
     receiver = ubx or nmea
     if receiver is not None:
@@ -73,4 +73,6 @@ def import_(
             f"{device}: {counters['messages_decoded']} decoded, {counters['frames_rejected']} "
             f"rejected ({counters['bytes_rejected']} bytes){': ' + reasons if reasons else ''}"
         )
+    if result["malformed_lines"]:
+        say(f"{can}: {result['malformed_lines']} lines are no CAN frames and were left out")
     print(f"{out}: {sum(result['messages'].values())} messages")

@@ -50,6 +50,8 @@ class Imports:
     def __init__(self, config: Path | None, vehicle: str, model: str) -> None:
         loaded = configs.load(config) if config is not None else Vehicle(vehicle="import")
         self.vehicle = msgspec.structs.replace(loaded, vehicle=vehicle or loaded.vehicle)
+        self.malformed_lines = 0
+        """Lines of CAN logs that are no frames: left out, and told."""
         self._model = model
         self._items: list[Item] = []
         self._bridges: dict[str, Processor] = {}
@@ -108,7 +110,7 @@ class Imports:
         for line in _read(path).decode("ascii", "replace").splitlines():
             frame = candump.parse_line(line)
             if isinstance(frame, canframe.Rejected):
-                self._malformed = getattr(self, "_malformed", 0) + 1
+                self.malformed_lines += 1
                 continue
             if group and frame.stamp_ns - group[0].stamp_ns >= CAN_GROUP_NS:
                 self._add_frames(group, path, bridge)
@@ -129,7 +131,7 @@ class Imports:
         self._items.sort(key=lambda item: item.message.stamp_ns)
         messages: dict[str, int] = {}
         published: dict[str, int] = {}
-        metadata = {"config": msgspec.json.encode(self.vehicle).decode()}
+        metadata = {configs.RECORD_ENTRY: configs.to_json(self.vehicle)}
         with RecordFile(out, self.vehicle.vehicle, metadata) as target:
 
             def write(sample: Sample, log_ns: int) -> None:
@@ -161,7 +163,12 @@ class Imports:
                     device=name, port="import", stamp_ns=log_ns, sequence=1, **counters
                 )
                 write(Sample(keys.DEVICE.at(name), health, log_ns, 1), log_ns)
-        return {"out": str(out), "messages": dict(sorted(messages.items())), "devices": devices}
+        return {
+            "out": str(out),
+            "messages": dict(sorted(messages.items())),
+            "devices": devices,
+            "malformed_lines": self.malformed_lines,
+        }
 
 
 def _read(path: Path) -> bytes:

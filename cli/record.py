@@ -28,7 +28,7 @@ def record(
     import msgspec
 
     from tramstream.cli.session import client, say, stop_on_signals, vehicle_on
-    from tramstream.config import Recorder, load
+    from tramstream.config import RECORD_ENTRY, Recorder, load, to_json
     from tramstream.recorder.node import RecorderNode
 
     loaded = load(config) if config is not None else None
@@ -38,7 +38,7 @@ def record(
     stop = stop_on_signals()
     with client(loaded.runtime_dir if loaded is not None else None) as bus:
         name = vehicle or (loaded.vehicle if loaded is not None else vehicle_on(bus))
-        metadata = {"config": msgspec.json.encode(loaded).decode()} if loaded is not None else {}
+        metadata = {RECORD_ENTRY: to_json(loaded)} if loaded is not None else {}
         if duration_s:
             threading.Timer(duration_s, stop.set).start()
         node = RecorderNode(name, bus, stop, settings, metadata, keys)

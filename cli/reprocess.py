@@ -31,7 +31,7 @@ def reprocess(
     import json
     import time
 
-    from tramstream.cli.session import say
+    from tramstream.cli.session import make_room, say
     from tramstream.errors import CheckFailedError, ConfigError
     from tramstream.recorder.rerun import rerun
 
@@ -39,8 +39,7 @@ def reprocess(
         raise ConfigError(f"--late {late}: must be as-recorded or accept")
     if check and (fresh or late == "accept"):
         raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
-    if overwrite:
-        out.unlink(missing_ok=True)
+    make_room(out, [file], overwrite)
     started_s = time.perf_counter()
     result = rerun(file, out, config, check, fresh or late == "accept")
     elapsed_s = time.perf_counter() - started_s

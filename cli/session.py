@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -13,12 +13,31 @@ from types import FrameType
 from tramstream import config, keys
 from tramstream.bus import Bus, ZenohBus
 from tramstream.clock import VehicleClock
-from tramstream.errors import BusError
+from tramstream.errors import BusError, ConfigError
 
 
 def say(text: str) -> None:
     """One line for people, on standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+def make_room(out: Path, sources: Sequence[Path], overwrite: bool) -> None:
+    """Delete `out` if it shall be replaced, unless it is, or lies in, one of the `sources`.
+
+    Raises
+    ------
+    ConfigError
+        If `out` would destroy what it is made from.
+    """
+    target = out.resolve()
+    for source in sources:
+        place = source.resolve()
+        if target == place or (place.is_dir() and place in target.parents):
+            raise ConfigError(
+                f"{out}: is what would be read, or lies in its folder; choose another --out"
+            )
+    if overwrite:
+        out.unlink(missing_ok=True)
 
 
 def stop_on_signals() -> threading.Event:

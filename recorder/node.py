@@ -6,10 +6,9 @@ import threading
 from collections.abc import Mapping
 from pathlib import Path
 
-import msgspec
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import keys
+from tramstream import config, keys
 from tramstream.bus import Bus, Envelope
 from tramstream.config import Recorder, Vehicle
 from tramstream.keys import Key
@@ -128,5 +127,5 @@ class RecorderNode(Node):
 
 def build(vehicle: Vehicle, bus: Bus, stop: threading.Event) -> RecorderNode:
     """Make the node of a vehicle; the entry point of `tramstream.nodes`."""
-    metadata = {"config": msgspec.json.encode(vehicle).decode()}
+    metadata = {config.RECORD_ENTRY: config.to_json(vehicle)}
     return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata)

@@ -17,7 +17,7 @@ AHEAD_S = 0.002
 WAIT_S = 0.1
 """Longest sleep: how fast a pause or the end is noticed."""
 UNPACED_RATE_HZ = 20_000
-"""`--rate 0`: what a subscriber in Python takes without losing (measured, docs/performance.md)."""
+"""`--rate 0`: a whole ride goes to a recorder without loss at it (tests/test_pipeline.py)."""
 
 
 @dataclass

@@ -18,9 +18,6 @@ from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess import Plan, Reprocessor, read_plan
 from tramstream.recorder.writer import RecordFile
 
-CONFIG_ENTRY = "config"
-"""Entry of a record's metadata: the vehicle's configuration as JSON."""
-
 
 @dataclass
 class Rerun:
@@ -38,11 +35,6 @@ class Rerun:
         return c is not None and c.compared > 0 and c.difference_count == 0 and not self.missing
 
 
-def config_text(vehicle: Vehicle) -> str:
-    """The configuration as it goes into a record's metadata."""
-    return msgspec.json.encode(vehicle).decode()
-
-
 def vehicle_of(record: Record, path: Path) -> Vehicle:
     """The configuration that a record was made with.
 
@@ -51,7 +43,7 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
     ConfigError
         If there is none in it, or this version does not understand it.
     """
-    text = record.metadata.get(CONFIG_ENTRY)
+    text = record.metadata.get(configs.RECORD_ENTRY)
     if not text:
         raise ConfigError(f"{path}: holds no configuration; give one with --config")
     try:
@@ -92,7 +84,10 @@ def rerun(
         run = Reprocessor(
             record, processors, plan, comparison.expect if comparison is not None else None
         )
-        metadata = {CONFIG_ENTRY: config_text(vehicle), "reprocessed_from": source.name}
+        metadata = {
+            configs.RECORD_ENTRY: configs.to_json(vehicle),
+            "reprocessed_from": source.name,
+        }
         outputs = 0
         topics: dict[str, str] = {}
         with RecordFile(out, record.vehicle or vehicle.vehicle, metadata) as target:

@@ -184,6 +184,10 @@ def default_runtime_dir() -> Path:
     return Path(user) / "tramstream" if user else Path(f"/tmp/tramstream-{os.geteuid()}")
 
 
+RECORD_ENTRY = "config"
+"""Entry of a record's metadata that holds `to_json`."""
+
+
 def load(path: Path) -> Vehicle:
     """Read a vehicle configuration; relative paths in it are relative to the file.
 
@@ -289,6 +293,11 @@ def _device(name: str, folder: Path) -> str:
     return str((folder / name).absolute()) if "/" in name and "://" not in name else name
 
 
+def to_json(vehicle: Vehicle) -> str:
+    """A configuration as it goes into a record's metadata; `msgspec.json` reads it back."""
+    return msgspec.json.encode(vehicle).decode()
+
+
 def digest(vehicle: Vehicle) -> str:
     """Short name of a configuration: equal for equal ones."""
-    return hashlib.sha256(msgspec.json.encode(vehicle)).hexdigest()[:16]
+    return hashlib.sha256(to_json(vehicle).encode()).hexdigest()[:16]

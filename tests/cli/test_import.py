@@ -149,3 +149,31 @@ def test_wheel_that_the_dbc_has_not_is_refused_by_name(tmp_path: Path) -> None:
 def test_absent_capture_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"nothing\.ubx: cannot be read"):
         Imports(None, "", "ADIS16465-1").gnss(tmp_path / "nothing.ubx")
+
+
+def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
+    from tramstream.bridges.simulated import DBC_PATH
+
+    capture = tmp_path / "log.candump"
+    capture.write_text("(1.000000) can0 110#0100010000\nnoise\n(1.020000) can0 110#0100010001\n")
+    imports = Imports(None, "", "ADIS16465-1")
+    imports.can(capture, Path(DBC_PATH), ["left=WHEELS.PULSES_LEFT"])
+    result = imports.write(tmp_path / "o.mcap")
+    assert result["malformed_lines"] == 1
+    assert result["messages"][keys.ODO_WHEELS.path] == 2
+
+
+def test_output_never_replaces_what_it_is_made_from(tmp_path: Path) -> None:
+    from tramstream.cli.session import make_room
+
+    source = tmp_path / "ride.mcap"
+    source.write_bytes(b"ride")
+    (tmp_path / "link.mcap").symlink_to(source)
+    for out, of in ((source, source), (tmp_path / "link.mcap", source), (source, tmp_path)):
+        with pytest.raises(ConfigError, match="choose another --out"):
+            make_room(out, [of], overwrite=True)
+    assert source.read_bytes() == b"ride"
+    other = tmp_path / "old.mcap"
+    other.write_bytes(b"old")
+    make_room(other, [source], overwrite=True)
+    assert not other.exists()
