@@ -89,6 +89,12 @@ device = "/dev/serial/by-id/usb-u-blox_AG_-_www.u-blox.com_u-blox_GNSS_receiver-
 #lever_arm_m = [0.0, 0.0, 0.0]
 # A fix that the receiver itself thinks worse than this is recorded but not used.
 #max_accuracy_m = 100.0
+# How well receiver_delay_s is known; the filter estimates the rest.
+#delay_std_s = 0.02
+# Neighbouring fixes share their error: its correlation time while the antenna moves, and its least
+# deviation on each axis, whatever the receiver says.
+#error_tau_s = 20.0
+#error_floor_m = 0.005
 
 [imu]
 # An ADIS16465 behind a microcontroller on a serial line (docs/imu-framing.md).
@@ -99,6 +105,19 @@ device = "/dev/serial/by-id/usb-tramstream_imu-if00"
 #rate_hz = 2000.0
 # Samples in a message: one message for each window of the resampler.
 #batch = 20
+# The case from the vehicle's origin: forward, left, up.
+#lever_arm_m = [0.0, 0.0, 0.0]
+# How the case is turned: roll, pitch, yaw that take vehicle components into the sensor's axes, and
+# how well that is known on each axis; the filter estimates the rest.
+#mounting_deg = [0.0, 0.0, 0.0]
+#mounting_std_deg = 1.0
+# Noise of the sensor: white, and the walk of its bias; then the bias when it is switched on.
+#gyro_noise_radps_rthz = 0.00011344
+#gyro_walk_radps2_rthz = 0.00007563
+#gyro_bias_std_radps = 0.01
+#accel_noise_mps2_rthz = 0.00022563
+#accel_walk_mps3_rthz = 0.0000353
+#accel_bias_std_mps2 = 0.15
 
 [odometer]
 # Wheels, doors and motor force from a CAN bus, through any interface of python-can: socketcan,
@@ -122,6 +141,8 @@ kind = "pulses"
 #scale = 1.0
 # A counter wraps after so many bits.
 #counter_bits = 16
+# left, right or middle; empty: by its name if that is left or right, else the middle.
+#side = ""
 
 [odometer.wheels.right]
 message = "WHEELS"
@@ -129,6 +150,7 @@ signal = "PULSES_RIGHT"
 kind = "pulses"
 #scale = 1.0
 #counter_bits = 16
+#side = ""
 
 # 1 while a door is open. Leave it out if the bus does not tell.
 [odometer.doors_open]
@@ -141,6 +163,22 @@ signal = "DOORS_OPEN"
 message = "DRIVE"
 signal = "MOTOR_FORCE"
 #scale = 1.0
+
+[wheels]
+# What the readings mean. A wheel of 0.3 m radius with 2048 pulses a turn: 2π · 0.3 / 2048.
+#m_per_pulse = 0.00092038845
+# Between left and right wheel.
+#track_m = 1.435
+# How well m_per_pulse, or a wheel's speed, is known: tyres wear by 4 to 5 %. The filter learns it.
+#scale_std = 0.03
+# From the instant that a reading describes until its arrival, how well that is known (the filter
+# learns the rest), and how much it jitters.
+#delay_s = 0.0
+#delay_std_s = 0.003
+#stamp_std_s = 0.002
+# Of a wheel that gives a speed, and of the vehicle bus' own yaw-rate sensor.
+#speed_std_mps = 0.05
+#yaw_rate_std_radps = 0.01
 
 
 # Processors ---------------------------------------------------------------------------------------
@@ -160,15 +198,17 @@ signal = "MOTOR_FORCE"
 #imu_silence_s = 0.5
 
 [distance]
-# Travelled distance and speed. A wheel of 0.3 m radius with 2048 pulses a turn: 2π · 0.3 / 2048.
-#m_per_pulse = 0.00092038845
+# Travelled distance and speed.
 # How much the speed may change: trams brake with about 1 m/s² in service.
 #acceleration_std_mps2 = 1.0
-# How much the arrival of the wheels' readings jitters.
-#wheel_stamp_std_s = 0.002
-#wheel_speed_std_mps = 0.05
 # A measurement further away than so many standard deviations is refused, and counted.
 #gate_sigma = 5.0
+
+[ekf]
+# The localisation filter. tram: ours; kaspar2023: the 25 states of that work, to compare.
+#model = "tram"
+# Share of time that the true error may exceed the published protection level.
+#integrity_risk = 0.001
 
 
 # Record -------------------------------------------------------------------------------------------

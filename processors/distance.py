@@ -58,10 +58,11 @@ class DistanceFilter(Processor):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
         config = vehicle.distance
-        self._m_per_pulse = config.m_per_pulse
+        wheels = vehicle.wheels
+        self._m_per_pulse = wheels.m_per_pulse
         self._acceleration_std = config.acceleration_std_mps2
-        self._stamp_variance = config.wheel_stamp_std_s**2
-        self._wheel_variance = config.wheel_speed_std_mps**2
+        self._stamp_variance = wheels.stamp_std_s**2
+        self._wheel_variance = wheels.speed_std_mps**2
         self._gate = config.gate_sigma
         self._stamp_ns = 0
         self._refusals = 0

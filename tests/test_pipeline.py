@@ -118,7 +118,7 @@ def test_check_fails_when_the_processors_are_configured_differently(
 ) -> None:
     path, _ = ride
     config = tmp_path / "other.toml"
-    config.write_text(configuration(tmp_path, 7) + "\n[distance]\nm_per_pulse = 0.00093\n")
+    config.write_text(configuration(tmp_path, 7) + "\n[wheels]\nm_per_pulse = 0.00093\n")
     out = str(tmp_path / "o.mcap")
     arguments = ("reprocess", str(path), "-o", out, "--config", str(config), "--check", "--json")
     figures = json.loads(tramstream(*arguments, status=1))

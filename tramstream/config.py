@@ -49,6 +49,13 @@ class Gnss(Struct, frozen=True, kw_only=True):
     """Antenna from the vehicle's origin, p_va_v."""
     max_accuracy_m: Positive = 100.0
     """A fix whose receiver says worse than this is published but not valid."""
+    delay_std_s: NotNegative = 0.02
+    """How well `receiver_delay_s` is known; the filter estimates the rest."""
+    error_tau_s: Positive = 20.0
+    """Correlation time of a fix's error while the antenna moves: 0.95 a second (theory.md section
+    3). Standing, the error only walks."""
+    error_floor_m: Positive = 0.005
+    """Least deviation of a fix on each axis, whatever the receiver says."""
 
 
 class Imu(Struct, frozen=True, kw_only=True):
@@ -60,6 +67,24 @@ class Imu(Struct, frozen=True, kw_only=True):
     rate_hz: Positive = 2000.0
     batch: Annotated[int, Meta(ge=1, le=200)] = 20
     """Samples per message: one message a window of the resampler."""
+    lever_arm_m: Vector = (0.0, 0.0, 0.0)
+    """The case from the vehicle's origin, p_vb_v."""
+    mounting_deg: Vector = (0.0, 0.0, 0.0)
+    """Ψ = roll, pitch, yaw of the case: C_bv turns vehicle components into sensor axes
+    (theory.md section 1)."""
+    mounting_std_deg: NotNegative = 1.0
+    """How well `mounting_deg` is known on each axis; the filter estimates the rest."""
+    gyro_noise_radps_rthz: Positive = 0.00011344
+    """N of the ADIS16465 (theory.md section 3), as are the next three."""
+    gyro_walk_radps2_rthz: Positive = 0.00007563
+    """K: random walk of the bias."""
+    accel_noise_mps2_rthz: Positive = 0.00022563
+    accel_walk_mps3_rthz: Positive = 0.0000353
+    """B of theory.md section 3 walked within a second; its K is far below."""
+    gyro_bias_std_radps: Positive = 0.01
+    """Turn-on bias; 0.3 °/s in theory.md section 3."""
+    accel_bias_std_mps2: Positive = 0.15
+    """Turn-on bias; 0.1 m/s² in theory.md section 3."""
 
 
 class Signal(Struct, frozen=True, kw_only=True):
@@ -81,6 +106,8 @@ class Wheel(Struct, frozen=True, kw_only=True):
     """To pulses, or to m/s (a DBC in km/h wants 0.2777777777777778)."""
     counter_bits: Annotated[int, Meta(ge=1, le=63)] = 16
     """Where a counter wraps."""
+    side: Literal["", "left", "right", "middle"] = ""
+    """Where the wheel is; empty: by its name if that is left or right, else the middle."""
 
 
 class Odometer(Struct, frozen=True, kw_only=True):
@@ -96,6 +123,27 @@ class Odometer(Struct, frozen=True, kw_only=True):
     motor_force_n: Signal | None = None
     silence_s: Positive = 2.0
     """No frame for so long: the interface is looked at and opened again."""
+
+
+class Wheels(Struct, frozen=True, kw_only=True):
+    """What the wheels' readings mean."""
+
+    m_per_pulse: Positive = 0.00092038845
+    """2π·0.3 m / 2048 (theory.md section 2): the reference vehicle's wheel."""
+    track_m: Positive = 1.435
+    """Between left and right wheel."""
+    scale_std: Positive = 0.03
+    """How well `m_per_pulse` or a wheel's speed is known: a worn tyre is 4 to 5 % smaller than a
+    new one (theory.md section 3: +12 and +16 mm of 300)."""
+    delay_s: float = 0.0
+    """From the instant that a reading describes until its arrival."""
+    delay_std_s: NotNegative = 0.003
+    stamp_std_s: NotNegative = 0.002
+    """Jitter of a reading's arrival, on the CAN bus and in the adapter."""
+    speed_std_mps: Positive = 0.05
+    """Of a wheel that gives a speed instead of pulses."""
+    yaw_rate_std_radps: Positive = 0.01
+    """Of the vehicle bus' own yaw-rate sensor, where there is one."""
 
 
 class Resampler(Struct, frozen=True, kw_only=True):
@@ -118,14 +166,18 @@ class Resampler(Struct, frozen=True, kw_only=True):
 class Distance(Struct, frozen=True, kw_only=True):
     """The travelled-distance filter of konecny2004."""
 
-    m_per_pulse: Positive = 0.00092038845
-    """2π·0.3 m / 2048 (theory.md section 2): the reference vehicle's wheel."""
     acceleration_std_mps2: Positive = 1.0
     """White acceleration between measurements: trams brake with 1 m/s² in service."""
-    wheel_stamp_std_s: NotNegative = 0.002
-    """Jitter of a reading's arrival, on the CAN bus and in the adapter."""
-    wheel_speed_std_mps: Positive = 0.05
     gate_sigma: Positive = 5.0
+
+
+class Ekf(Struct, frozen=True, kw_only=True):
+    """The localisation filter."""
+
+    model: Literal["tram", "kaspar2023"] = "tram"
+    """tram: ours. kaspar2023: the 25 states of the work, for comparison."""
+    integrity_risk: Annotated[float, Meta(gt=0, le=0.1)] = 0.001
+    """Share of time that the true error may exceed the protection level, along or across."""
 
 
 class Recorder(Struct, frozen=True, kw_only=True):
@@ -163,8 +215,10 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     gnss: Gnss | None = None
     imu: Imu | None = None
     odometer: Odometer | None = None
+    wheels: Wheels = Wheels()
     resampler: Resampler = Resampler()
     distance: Distance = Distance()
+    ekf: Ekf = Ekf()
     recorder: Recorder = Recorder()
     simulators: dict[str, Simulator] = {}
 

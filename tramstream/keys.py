@@ -102,7 +102,9 @@ IMU_BYTES = _key("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes 
 IMU_BATCH = _key("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
 ODO_FRAMES = _key("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
 ODO_WHEELS = _key("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
-TRUTH_STATE = _key("raw/truth/state", raw_pb2.TruthState, 10, "state", "The simulator's truth")
+TRUTH_STATE = _key(
+    "raw/truth/state", raw_pb2.TruthState, 10, "state", "The truth, where it is known"
+)
 
 # sync: the ordered stream ------------------------------------------------------------------------
 SYNC_IMU = _key(
@@ -119,6 +121,19 @@ SYNC_SNAPSHOT = _key("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Pro
 # est: what filters say ------------------------------------------------------------------------
 EST_DISTANCE = _key(
     "est/distance/state", estimate_pb2.DistanceState, 50, "state", "Travelled distance and speed"
+)
+EST_STATE = _key(
+    "est/ekf/state", estimate_pb2.MotionState, 100, "horizon", "Localisation filter, all data in"
+)
+EST_NOW = _key(
+    "est/ekf/now", estimate_pb2.MotionState, 100, "newest mean", "The same, predicted to now"
+)
+EST_LOCATION = _key("est/ekf/location", LocationFix, 10, "newest mean", "The same for any viewer")
+EST_PARAMETERS = _key(
+    "est/ekf/parameters", estimate_pb2.FilterParameters, 1, "horizon", "Biases, scales, offsets"
+)
+EST_SMOOTHED = _key(
+    "est/ekf/smoothed", estimate_pb2.MotionState, 100, "state", "Offline: with the whole ride known"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------

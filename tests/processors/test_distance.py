@@ -13,13 +13,13 @@ from streams import MS, START_NS, fix, frame, messages, step_all, wheels
 
 from tramstream import keys, snapshots
 from tramstream.clock import S
-from tramstream.config import Distance, Vehicle
+from tramstream.config import Distance, Vehicle, Wheels
 from tramstream.processor import Sample
 from tramstream.processors.distance import MAX_REFUSALS, DistanceFilter
 from tramstream.proto.estimate_pb2 import DistanceState
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 
-M_PER_PULSE = Distance().m_per_pulse
+M_PER_PULSE = Wheels().m_per_pulse
 STEP_NS = 20 * MS
 MM = 1e-3
 
@@ -28,8 +28,11 @@ Motion = Callable[[float], float]
 
 def distance_filter(**fields: float) -> DistanceFilter:
     """A filter that believes the stamps, which are exact here unless a test says otherwise."""
-    fields = {"wheel_stamp_std_s": 0.0, **fields}
-    return DistanceFilter(Vehicle(vehicle="test", distance=Distance(**fields)))
+    wheels = {name: fields.pop(name) for name in ("stamp_std_s", "m_per_pulse") if name in fields}
+    wheels = {"stamp_std_s": 0.0, **wheels}
+    return DistanceFilter(
+        Vehicle(vehicle="test", wheels=Wheels(**wheels), distance=Distance(**fields))
+    )
 
 
 def departure(time_s: float) -> float:
@@ -193,7 +196,7 @@ def test_jitter_of_the_stamps_is_smoothed_and_not_believed() -> None:
         count = pulses_of(departure, index / 50)
         stamp_ns = stamp_at(index / 50 + rng.normal(0.0, std_s))
         frames.append(frame(stamp_ns, wheels(stamp_ns, [count, count])))
-    found = states(step_all(distance_filter(wheel_stamp_std_s=std_s), frames))
+    found = states(step_all(distance_filter(stamp_std_s=std_s), frames))
     cruising = [s for s in found if stamp_at(14.0) < s.stamp_ns < stamp_at(21.0)]
     error = np.array([s.speed_mps - 10.0 for s in cruising])
     claimed = np.array([s.speed_std_mps for s in cruising])

@@ -1,4 +1,5 @@
 from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from collections.abc import Iterable as _Iterable, Mapping as _Mapping
@@ -37,3 +38,85 @@ class DistanceState(_message.Message):
     covariance: _containers.RepeatedScalarFieldContainer[float]
     innovations: _containers.RepeatedCompositeFieldContainer[Innovation]
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., distance_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., distance_std_m: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ...) -> None: ...
+
+class MotionState(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "mode", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "speed_mps", "acceleration_mps2", "roll_rad", "pitch_rad", "yaw_rad", "yaw_rate_radps", "standing", "along_std_m", "across_std_m", "up_std_m", "speed_std_mps", "yaw_std_rad", "protection_along_m", "protection_across_m", "covariance", "innovations")
+    class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STARTING: _ClassVar[MotionState.Mode]
+        HEADING_UNKNOWN: _ClassVar[MotionState.Mode]
+        TRACKING: _ClassVar[MotionState.Mode]
+        DEAD_RECKONING: _ClassVar[MotionState.Mode]
+    STARTING: MotionState.Mode
+    HEADING_UNKNOWN: MotionState.Mode
+    TRACKING: MotionState.Mode
+    DEAD_RECKONING: MotionState.Mode
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_ELLIPSOID_M_FIELD_NUMBER: _ClassVar[int]
+    SPEED_MPS_FIELD_NUMBER: _ClassVar[int]
+    ACCELERATION_MPS2_FIELD_NUMBER: _ClassVar[int]
+    ROLL_RAD_FIELD_NUMBER: _ClassVar[int]
+    PITCH_RAD_FIELD_NUMBER: _ClassVar[int]
+    YAW_RAD_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_RADPS_FIELD_NUMBER: _ClassVar[int]
+    STANDING_FIELD_NUMBER: _ClassVar[int]
+    ALONG_STD_M_FIELD_NUMBER: _ClassVar[int]
+    ACROSS_STD_M_FIELD_NUMBER: _ClassVar[int]
+    UP_STD_M_FIELD_NUMBER: _ClassVar[int]
+    SPEED_STD_MPS_FIELD_NUMBER: _ClassVar[int]
+    YAW_STD_RAD_FIELD_NUMBER: _ClassVar[int]
+    PROTECTION_ALONG_M_FIELD_NUMBER: _ClassVar[int]
+    PROTECTION_ACROSS_M_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    INNOVATIONS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    mode: MotionState.Mode
+    latitude_deg: float
+    longitude_deg: float
+    height_ellipsoid_m: float
+    speed_mps: float
+    acceleration_mps2: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    yaw_rate_radps: float
+    standing: bool
+    along_std_m: float
+    across_std_m: float
+    up_std_m: float
+    speed_std_mps: float
+    yaw_std_rad: float
+    protection_along_m: float
+    protection_across_m: float
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    innovations: _containers.RepeatedCompositeFieldContainer[Innovation]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., mode: _Optional[_Union[MotionState.Mode, str]] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., along_std_m: _Optional[float] = ..., across_std_m: _Optional[float] = ..., up_std_m: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., yaw_std_rad: _Optional[float] = ..., protection_along_m: _Optional[float] = ..., protection_across_m: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ...) -> None: ...
+
+class Parameter(_message.Message):
+    __slots__ = ("name", "value", "std", "unit")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    STD_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    std: float
+    unit: str
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., std: _Optional[float] = ..., unit: _Optional[str] = ...) -> None: ...
+
+class FilterParameters(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "model", "parameters")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    model: str
+    parameters: _containers.RepeatedCompositeFieldContainer[Parameter]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ...) -> None: ...

@@ -101,21 +101,23 @@ class WheelReading(_message.Message):
     def __init__(self, wheel: _Optional[str] = ..., pulses: _Optional[int] = ..., speed_mps: _Optional[float] = ...) -> None: ...
 
 class Odometry(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "wheels", "doors_open", "motor_force_n")
+    __slots__ = ("stamp_ns", "sequence", "wheels", "doors_open", "motor_force_n", "yaw_rate_radps")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     WHEELS_FIELD_NUMBER: _ClassVar[int]
     DOORS_OPEN_FIELD_NUMBER: _ClassVar[int]
     MOTOR_FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_RADPS_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     wheels: _containers.RepeatedCompositeFieldContainer[WheelReading]
     doors_open: bool
     motor_force_n: float
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., wheels: _Optional[_Iterable[_Union[WheelReading, _Mapping]]] = ..., doors_open: _Optional[bool] = ..., motor_force_n: _Optional[float] = ...) -> None: ...
+    yaw_rate_radps: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., wheels: _Optional[_Iterable[_Union[WheelReading, _Mapping]]] = ..., doors_open: _Optional[bool] = ..., motor_force_n: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ...) -> None: ...
 
 class TruthState(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "arc_length_m", "speed_mps", "acceleration_mps2", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad", "yaw_rate_radps", "standing")
+    __slots__ = ("stamp_ns", "sequence", "arc_length_m", "speed_mps", "acceleration_mps2", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad", "yaw_rate_radps", "standing", "roll_rad", "pitch_rad", "position_std_m")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     ARC_LENGTH_M_FIELD_NUMBER: _ClassVar[int]
@@ -127,6 +129,9 @@ class TruthState(_message.Message):
     YAW_RAD_FIELD_NUMBER: _ClassVar[int]
     YAW_RATE_RADPS_FIELD_NUMBER: _ClassVar[int]
     STANDING_FIELD_NUMBER: _ClassVar[int]
+    ROLL_RAD_FIELD_NUMBER: _ClassVar[int]
+    PITCH_RAD_FIELD_NUMBER: _ClassVar[int]
+    POSITION_STD_M_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     arc_length_m: float
@@ -138,4 +143,7 @@ class TruthState(_message.Message):
     yaw_rad: float
     yaw_rate_radps: float
     standing: bool
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., arc_length_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ...) -> None: ...
+    roll_rad: float
+    pitch_rad: float
+    position_std_m: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., arc_length_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., position_std_m: _Optional[float] = ...) -> None: ...
