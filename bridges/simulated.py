@@ -22,11 +22,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from tramstream.attitude import C_vl
 from tramstream.bridges import adis, imu, slcan
 from tramstream.clock import S
+from tramstream.config import Vector
 from tramstream.geodesy import normal_gravity_mps2
+from tramstream.inertial import ORIGIN, Imu, ImuScales, inertial
+from tramstream.odometry import Wheels, motor_force_n
 from tramstream.ride import Ride
-from tramstream.sensors import Imu, ImuScales, Wheels, inertial, motor_force_n
 
 Array = NDArray[np.float64]
 
@@ -92,11 +95,17 @@ Inertial = Callable[[Array], tuple[Array, Array]]
 """Specific force and angular rate of the case at instants of the ride, (n, 3) each."""
 
 
-def riding(ride: Ride) -> Inertial:
-    """Give what an IMU feels on a ride."""
+def riding(ride: Ride, p_vb_v: Vector = ORIGIN, mounting_deg: Vector = ORIGIN) -> Inertial:
+    """Give what an IMU feels on a ride, mounted as a configuration says."""
     level = ride.line.level
     gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
-    return lambda time_s: inertial(ride.motion(time_s), gravity)
+    C_bv = C_vl(*np.radians(mounting_deg))
+
+    def feel(time_s: Array) -> tuple[Array, Array]:
+        f_v, omega_v = inertial(ride.motion(time_s), gravity, p_vb_v)
+        return f_v @ C_bv.T, omega_v @ C_bv.T
+
+    return feel
 
 
 def still(time_s: Array) -> tuple[Array, Array]:

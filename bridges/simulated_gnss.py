@@ -27,8 +27,8 @@ from tramstream.bridges.simulated import (
     Faults,
 )
 from tramstream.clock import S
+from tramstream.receiver import Fixes, Gnss, GnssErrors
 from tramstream.ride import Ride
-from tramstream.sensors import Fixes, Gnss, GnssErrors
 
 GPS_MINUS_UNIX_S = -315_964_800 + 18
 """GPS time counts from 1980-01-06 and is 18 leap seconds ahead of UTC (since 2017)."""

@@ -318,6 +318,8 @@ def _ride_devices(
     gnss_rng, imu_rng, can_rng = np.random.default_rng(seed).spawn(3)
     gnss, imu = _gnss_device(vehicle), _imu_device(vehicle)
     end_s = ride.duration_s + SILENCE_AFTER_S
+    mounted = vehicle.imu
+    feel = riding(ride, mounted.lever_arm_m, mounted.mounting_deg) if mounted else riding(ride)
 
     def terminal(suffix: str) -> PseudoTerminal:
         return PseudoTerminal(link.with_name(f"{link.name}.{suffix}"))
@@ -331,7 +333,7 @@ def _ride_devices(
         Device(
             f"{name}.imu",
             terminal("imu"),
-            lambda start: imu_stream(riding(ride), imu_rng, start, end_s, imu, faults),
+            lambda start: imu_stream(feel, imu_rng, start, end_s, imu, faults),
         ),
         CanAdapter(
             f"{name}.can",

@@ -1,4 +1,4 @@
-"""`tramstream import`: captured device bytes into a record, through the bridges' own decoders."""
+"""`tramstream import`: captured device bytes, and tables of numbers, into a record."""
 
 from __future__ import annotations
 
@@ -25,6 +25,25 @@ def import_(
             help="NAME=MESSAGE.SIGNAL of a wheel, repeated; default: all wheel speeds of the DBC."
         ),
     ] = None,
+    csv: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE|FOLDER|NAME=FILE",
+            help="Table, or folder of the tables, that --mapping tells of; repeated. NAME is what "
+            "the mapping calls the file. Default: beside the mapping.",
+        ),
+    ] = None,
+    mapping: Annotated[
+        Path | None,
+        typer.Option(help="What the tables' columns are: units, frames, clock (TOML)."),
+    ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="START_S:DURATION_S",
+            help="Withhold the tables' fixes for so long, so much after the first row; repeated.",
+        ),
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(help="Vehicle configuration for delays, scales and signals.")
     ] = None,
@@ -33,14 +52,17 @@ def import_(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Import captures; several sources of one ride go into one record.
+    """Import captures and tables; several sources of one ride go into one record.
 
     Captures of receivers and IMUs hold no arrival times: each read is given the time that its
     frames tell. A receiver's is GPS time as Unix time, not corrected for leap seconds.
+
+    Tables are put on the same clock. How to write a --mapping: docs/import-tables.md, mappings/.
     """
     import json
 
     from tramstream.cli.import_sources import Imports
+    from tramstream.cli.import_tables import Tables, parse_cut
     from tramstream.cli.session import make_room, say
     from tramstream.errors import ConfigError
 
@@ -48,11 +70,21 @@ def import_(
         raise ConfigError("--ubx and --nmea are one receiver each; import them one by one")
     if can is not None and dbc is None and config is None:
         raise ConfigError("--can needs --dbc (or --config with an [odometer] section)")
+    if mapping is None and (csv or cut):
+        raise ConfigError(
+            "--csv and --cut need --mapping; mappings/ and docs/import-tables.md help"
+        )
     sources = [source for source in (ubx, nmea, adis, can) if source is not None]
+    tables = None
+    if mapping is not None:
+        tables = Tables(mapping, csv or [], [parse_cut(text) for text in cut or []])
+        sources += [mapping, *tables.files.values()]
     if not sources:
-        raise ConfigError("nothing to import; give --ubx, --nmea, --adis or --can")
+        raise ConfigError("nothing to import; give --ubx, --nmea, --adis, --can or --mapping")
     make_room(out, sources, overwrite)
     imports = Imports(config, vehicle, model)
+    if tables is not None:
+        imports.tables(tables)
     receiver = ubx or nmea
     if receiver is not None:
         imports.gnss(receiver)
@@ -73,6 +105,26 @@ def import_(
             f"{device}: {counters['messages_decoded']} decoded, {counters['frames_rejected']} "
             f"rejected ({counters['bytes_rejected']} bytes){': ' + reasons if reasons else ''}"
         )
-    if result["malformed_lines"]:
-        say(f"{can}: {result['malformed_lines']} lines are no CAN frames and were left out")
+    of_tables = 0
+    for table in result["tables"]:
+        say(_told(table))
+        of_tables += table["malformed_lines"]
+    if result["malformed_lines"] > of_tables:
+        lines = result["malformed_lines"] - of_tables
+        say(f"{can}: {lines} lines are no CAN frames and were left out")
     print(f"{out}: {sum(result['messages'].values())} messages")
+
+
+def _told(table: dict[str, Any]) -> str:
+    """What became of a table, for people."""
+    text = (
+        f"{table['file']}: {table['rows']} rows of {table['kind']}, {table['duration_s']:.1f} s "
+        f"from {table['start_s']:.3f} s on"
+    )
+    if "given" in table:
+        text += f", {table['withheld']} of them withheld"
+    if "rate_hz" in table:
+        text += f", {table['rate_hz']:.3f} Hz, stamps moved by {1e3 * table['jitter_s']:.2f} ms"
+    if table["malformed_lines"]:
+        text += f"; {table['malformed_lines']} left out: {table['first_malformed']}"
+    return text

@@ -16,11 +16,13 @@ from tramstream.bridges.dbc import Database
 from tramstream.bridges.gnss import GnssBridge, epoch_times, unix_like_ns
 from tramstream.bridges.imu import ImuBridge
 from tramstream.bridges.odometer import OdometerBridge
+from tramstream.cli.import_tables import Tables
+from tramstream.cli.table_mapping import GnssTable
 from tramstream.clock import S
 from tramstream.config import Gnss, Imu, Odometer, Vehicle, Wheel
 from tramstream.errors import ConfigError, RecordError
 from tramstream.keys import Key
-from tramstream.processor import Processor, Sample
+from tramstream.processor import Processor, Sample, stamp
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import RawBytes
 from tramstream.recorder.writer import RecordFile
@@ -37,24 +39,45 @@ SPEED_UNITS = {"km/h": 1.0 / 3.6, "kph": 1.0 / 3.6, "kmph": 1.0 / 3.6, "m/s": 1.
 
 @dataclass(frozen=True)
 class Item:
-    """A raw message and the bridge that takes it."""
+    """A raw message, its stamp, when it came, and the bridge that takes it; rows have none."""
 
     key: Key
     message: Any
-    bridge: Processor
+    stamp_ns: int
+    arrival_ns: int
+    bridge: Processor | None = None
 
 
 class Imports:
     """Collects sources, then writes them as one record in the order of their times."""
 
     def __init__(self, config: Path | None, vehicle: str, model: str) -> None:
-        loaded = configs.load(config) if config is not None else Vehicle(vehicle="import")
-        self.vehicle = msgspec.structs.replace(loaded, vehicle=vehicle or loaded.vehicle)
+        self._configured = config is not None
+        self._vehicle_id = vehicle
+        self._use(configs.load(config) if config is not None else Vehicle(vehicle="import"))
         self.malformed_lines = 0
-        """Lines of CAN logs that are no frames: left out, and told."""
+        """Lines of CAN logs that are no frames, and of tables that are no rows: left out, and
+        told."""
+        self.tables_read: list[dict[str, Any]] = []
         self._model = model
         self._items: list[Item] = []
         self._bridges: dict[str, Processor] = {}
+
+    def _use(self, vehicle: Vehicle) -> None:
+        name = self._vehicle_id or vehicle.vehicle
+        self.vehicle = msgspec.structs.replace(vehicle, vehicle=name)
+
+    def tables(self, tables: Tables) -> None:
+        """Rows of tables; before all other sources, for a mapping may hold the configuration."""
+        if tables.mapping.vehicle is not None and not self._configured:
+            self._use(tables.mapping.vehicle)
+        receiver = next((t.file for t in tables.mapping.tables if isinstance(t, GnssTable)), "")
+        if receiver and self.vehicle.gnss is None:
+            self.vehicle = msgspec.structs.replace(self.vehicle, gnss=Gnss(device=receiver))
+        made = tables.read(self.vehicle)
+        self._items += [Item(*row) for row in made.rows]
+        self.tables_read += made.tables
+        self.malformed_lines += made.malformed_lines
 
     def gnss(self, path: Path) -> None:
         """A receiver's bytes; each read gets the epoch that its frames tell."""
@@ -70,7 +93,7 @@ class Imports:
         times = [(end, unix_like_ns(gps_ns)) for end, gps_ns in epoch_times(data)]
         for arrival_ns, piece in _timed_pieces(data, times):
             message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
-            self._items.append(Item(keys.GNSS_BYTES, message, bridge))
+            self._items.append(Item(keys.GNSS_BYTES, message, arrival_ns, arrival_ns, bridge))
         self._bridges[bridge.name] = bridge
 
     def imu(self, path: Path) -> None:
@@ -91,7 +114,7 @@ class Imports:
                     arrival_ns += (newest_us - last_us) % 2**32 * 1000
                 last_us = newest_us
             message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
-            self._items.append(Item(keys.IMU_BYTES, message, bridge))
+            self._items.append(Item(keys.IMU_BYTES, message, arrival_ns, arrival_ns, bridge))
         self._bridges[bridge.name] = bridge
 
     def can(self, path: Path, dbc: Path | None, wheels: list[str]) -> str:
@@ -124,11 +147,12 @@ class Imports:
     def _add_frames(
         self, group: list[canframe.CanFrame], path: Path, bridge: OdometerBridge
     ) -> None:
-        self._items.append(Item(keys.ODO_FRAMES, canframe.pack(group, path.name), bridge))
+        frames = canframe.pack(group, path.name)
+        self._items.append(Item(keys.ODO_FRAMES, frames, frames.stamp_ns, frames.stamp_ns, bridge))
 
     def write(self, out: Path) -> dict[str, Any]:
         """Step everything through the bridges and write it; return what came out."""
-        self._items.sort(key=lambda item: item.message.stamp_ns)
+        self._items.sort(key=lambda item: item.arrival_ns)
         messages: dict[str, int] = {}
         published: dict[str, int] = {}
         metadata = {configs.RECORD_ENTRY: configs.to_json(self.vehicle)}
@@ -148,12 +172,13 @@ class Imports:
                 messages[path] = messages.get(path, 0) + 1
 
             log_ns = 0
-            for number, item in enumerate(self._items, 1):
-                log_ns = item.message.stamp_ns
-                item.message.sequence = number
-                raw = Sample(item.key, item.message, log_ns, number)
+            for item in self._items:
+                log_ns = item.arrival_ns
+                sequence = 1 + messages.get(item.key.path, 0)
+                stamp(item.message, item.stamp_ns, sequence)
+                raw = Sample(item.key, item.message, item.stamp_ns, sequence)
                 write(raw, log_ns)
-                for sample in item.bridge.step(raw):
+                for sample in item.bridge.step(raw) if item.bridge is not None else ():
                     write(sample, log_ns)
             devices = {}
             for name, bridge in self._bridges.items():
@@ -168,6 +193,7 @@ class Imports:
             "messages": dict(sorted(messages.items())),
             "devices": devices,
             "malformed_lines": self.malformed_lines,
+            "tables": self.tables_read,
         }
 
 

@@ -209,6 +209,13 @@ signal = "MOTOR_FORCE"
 #model = "tram"
 # Share of time that the true error may exceed the published protection level.
 #integrity_risk = 0.001
+# How a wheel creeps (deviation after a metre of way), and what of the specific force along the
+# track is no motion (the body's pitching, vibration).
+#wheel_creep_m_rtm = 0.0002
+#force_std_mps2_rthz = 0.003
+# Without an IMU: how the speed and the track's tilt may change.
+#acceleration_std_mps2_rthz = 0.7
+#tilt_std_rad_rts = 0.005
 
 
 # Record -------------------------------------------------------------------------------------------

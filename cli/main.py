@@ -22,8 +22,8 @@ INTERRUPTED = 130
 PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
     "Looking": ("top", "list", "echo", "hz", "bw", "info"),
-    "Records": ("replay", "reprocess", "import", "export", "recover"),
-    "Figures": ("reproduce", "bench"),
+    "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
+    "Figures": ("evaluate", "report", "reproduce", "bench"),
 }
 
 

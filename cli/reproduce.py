@@ -2,60 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
-WORKS = ("konecny2004",)
+WORKS = ("konecny2004", "kaspar2023")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line said; each work takes what concerns it."""
+
+    seed: int | None
+    seeds: int | None
+    lines: tuple[str, ...]
+    duration_s: float | None
+    json: bool
 
 
 def reproduce(
     name: Annotated[str, typer.Argument(help=f"One of: {', '.join(WORKS)}.")],
-    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 2004,
+    seed: Annotated[
+        int | None, typer.Option(help="Of the random numbers; of the first ride.", min=0)
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(help="kaspar2023: rides of each kind; default 5.", min=1)
+    ] = None,
+    line: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
+            "default); may be given several times.",
+            metavar="FILE[#LINE]",
+        ),
+    ] = None,
+    duration_s: Annotated[
+        float, typer.Option("--duration-s", help="kaspar2023: end rides early; 0 is never.", min=0)
+    ] = 0.0,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work."""
-    import json
-    from dataclasses import asdict
+    from importlib import import_module
 
     from tramstream.errors import ConfigError
-    from tramstream.processors import konecny2004
 
     if name not in WORKS:
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
-    cases = konecny2004.cases(seed)
-    if json_:
-        figures = {"work": name, "seed": seed, "runs": konecny2004.RUNS}
-        print(json.dumps({**figures, "cases": [asdict(case) for case in cases]}))
-        return
-
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(
-        title=f"{name}: travelled distance, σ = 40 m; {konecny2004.RUNS} runs of "
-        f"{konecny2004.STEPS} steps",
-        box=None,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    columns = ("case", "raw m", "predicted m", "filtered m", "gain", "speed m/s", "±2σ")
-    for column in columns:
-        table.add_column(column, justify="left" if column == "case" else "right", no_wrap=True)
-    for case in cases:
-        table.add_row(
-            case.name,
-            f"{case.raw_rmse_m:.2f}",
-            f"{case.predicted_rmse_m:.2f}",
-            f"{case.filtered_rmse_m:.2f}",
-            f"{case.gain:.2f}",
-            f"{case.speed_rmse_mps:.2f}",
-            f"{100 * case.within_two_sigma:.1f} %",
-        )
-    console = Console()
-    console.print(table)
-    console.print(
-        "Root mean square errors. raw: the measurement; predicted: before, filtered: after "
-        "the data step;\ngain: raw / filtered. In the last line the filter is told the mean "
-        "interval, not the true one."
-    )
+    options = Options(seed, seeds, tuple(line or ()), duration_s or None, json_)
+    import_module(f"tramstream.cli.reproduce_{name}").reproduce(options)

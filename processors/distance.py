@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from math import sqrt
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +24,9 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors import kalman1d
-from tramstream.proto.estimate_pb2 import DistanceState, Innovation
+from tramstream.proto.estimate_pb2 import DistanceState
 from tramstream.proto.gnss_pb2 import GnssFix
-from tramstream.proto.raw_pb2 import Odometry, WheelReading
+from tramstream.proto.raw_pb2 import Odometry
 
 START_SPEED_STD_MPS = 20.0
 """Nothing is known at first: a tram does at most 80 km/h."""
@@ -45,6 +46,15 @@ MAX_STEP_S = 60.0
 MAX_REFUSALS = 50
 """So many refused wheel readings in a row (one second) mean that the estimate is wrong, or that a
 slip has taken the wheels' path away from it for good."""
+
+
+class _Taken(NamedTuple):
+    """One scalar measurement as the filter saw it; becomes an Innovation."""
+
+    measurement: str
+    innovation: float
+    variance: float
+    accepted: bool
 
 
 class DistanceFilter(Processor):
@@ -77,17 +87,20 @@ class DistanceFilter(Processor):
 
     def step(self, sample: Sample) -> list[Sample]:
         frame = sample.message
-        measurements = [*frame.gnss, *frame.odometry]
+        fixes, readings = frame.gnss, frame.odometry
+        if not fixes and not readings:
+            return []
+        measurements = [*fixes, *readings]
         if len(measurements) > 1:
             measurements.sort(key=attrgetter("stamp_ns"))
-        innovations: list[Innovation] = []
+        innovations: list[_Taken] = []
         for measurement in measurements:
             self._ledger.received += 1
             if isinstance(measurement, Odometry):
                 found = self._take_wheels(measurement)
             else:
                 found = self._take_fix(measurement)
-            if any(innovation.accepted for innovation in found):
+            if any([innovation.accepted for innovation in found]):
                 self._ledger.delivered += 1
             else:
                 self._ledger.dropped += 1
@@ -103,27 +116,34 @@ class DistanceFilter(Processor):
             self._stamp_ns = stamp_ns
             self._restart_speed(travelled_std_m=START_SPEED_STD_MPS * dt_s)
         elif dt_s > 0:
-            noise = kalman1d.acceleration_noise(dt_s, self._acceleration_std)
-            self._kalman.predict(F=kalman1d.transition(dt_s), Q=noise)
+            self._kalman.move(dt_s, self._acceleration_std)
             self._stamp_ns = stamp_ns
 
     def _restart_speed(self, travelled_std_m: float = 0.0) -> None:
         """Keep the distance, forget the speed and what the wheels' path was tied to."""
-        variance = float(self._kalman.P[0, 0]) + travelled_std_m**2
-        self._kalman.x = np.array([[float(self._kalman.x[0, 0])], [0.0]])
+        variance = self._kalman.covariance[0] + travelled_std_m**2
+        self._kalman.x = np.array([[self._kalman.state[0]], [0.0]])
         self._kalman.P = np.diag([variance, START_SPEED_STD_MPS**2])
         self._offset_m = None
         self._refusals = 0
 
-    def _take_wheels(self, odometry: Odometry) -> list[Innovation]:
-        counting = [wheel for wheel in odometry.wheels if wheel.HasField("pulses")]
-        speeds = [wheel.speed_mps for wheel in odometry.wheels if wheel.HasField("speed_mps")]
-        if not counting and not speeds:
+    def _take_wheels(self, odometry: Odometry) -> list[_Taken]:
+        names: list[str] = []
+        speeds: list[float] = []
+        pulses = 0
+        for wheel in odometry.wheels:
+            if wheel.HasField("pulses"):
+                names.append(wheel.wheel)
+                pulses += wheel.pulses
+            if wheel.HasField("speed_mps"):
+                speeds.append(wheel.speed_mps)
+        if not names and not speeds:
             return []
         self._predict(odometry.stamp_ns)
         found = []
-        if counting:
-            found.append(self._take_path(counting, odometry.stamp_ns))
+        if names:
+            path_m = pulses / len(names) * self._m_per_pulse
+            found.append(self._take_path(names, path_m, odometry.stamp_ns))
         if speeds:
             speed_mps = sum(speeds) / len(speeds)
             variance = self._wheel_variance / len(speeds)
@@ -138,12 +158,12 @@ class DistanceFilter(Processor):
                 self._restart_speed()
         return found
 
-    def _take_path(self, counting: list[WheelReading], stamp_ns: int) -> Innovation:
-        count = len(counting)
-        path_m = sum([wheel.pulses for wheel in counting]) / count * self._m_per_pulse
-        speed_mps = float(self._kalman.x[1, 0])
-        variance = self._m_per_pulse**2 * QUANTISATION / count + speed_mps**2 * self._stamp_variance
-        wheels = [wheel.wheel for wheel in counting]
+    def _take_path(self, wheels: list[str], path_m: float, stamp_ns: int) -> _Taken:
+        """Take the mean path of `wheels`."""
+        speed_mps = self._kalman.state[1]
+        variance = (
+            self._m_per_pulse**2 * QUANTISATION / len(wheels) + speed_mps**2 * self._stamp_variance
+        )
         pause_s = (stamp_ns - self._path_ns) / S
         jumped = abs(path_m - self._path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)
         if wheels != self._wheels or jumped:
@@ -157,45 +177,45 @@ class DistanceFilter(Processor):
             return self._tie(path_m, variance)
         return innovation
 
-    def _tie(self, path_m: float, variance: float) -> Innovation:
+    def _tie(self, path_m: float, variance: float) -> _Taken:
         """Count the wheels' path from the estimate on."""
-        P = self._kalman.P
-        self._settled_m2 += float(P[0, 0]) + variance
-        self._kalman.P = np.diag([variance, float(P[1, 1])])
-        self._offset_m = float(self._kalman.x[0, 0]) - path_m
-        return Innovation(measurement="wheel_path", value=0.0, variance=variance, accepted=True)
+        p00, _, _, p11 = self._kalman.covariance
+        self._settled_m2 += p00 + variance
+        self._kalman.P = np.diag([variance, p11])
+        self._offset_m = self._kalman.state[0] - path_m
+        return _Taken("wheel_path", 0.0, variance, accepted=True)
 
-    def _take_fix(self, fix: GnssFix) -> list[Innovation]:
+    def _take_fix(self, fix: GnssFix) -> list[_Taken]:
         if not fix.valid:
             return []
         self._predict(fix.stamp_ns)
         # Speed over ground has no sign; the tram's direction is the filter's own.
-        speed_mps = fix.speed_mps if self._kalman.x[1, 0] >= 0.0 else -fix.speed_mps
+        speed_mps = fix.speed_mps if self._kalman.state[1] >= 0.0 else -fix.speed_mps
         std_mps = max(fix.speed_std_mps, GNSS_SPEED_FLOOR_MPS)
         return [self._update("gnss_speed", speed_mps, kalman1d.SPEED, std_mps**2)]
 
-    def _update(self, name: str, z: float, H: kalman1d.Array, R: float) -> Innovation:
+    def _update(self, name: str, z: float, H: kalman1d.Array, R: float) -> _Taken:
         verdict = self._kalman.update(z, R, H, self._gate)
         assert verdict is not None  # there was a measurement
-        return Innovation(
-            measurement=name,
-            value=verdict.innovation,
-            variance=verdict.variance,
-            accepted=verdict.accepted,
-        )
+        return _Taken(name, *verdict)
 
-    def _publish(self, innovations: list[Innovation]) -> Sample:
-        (distance_m,), (speed_mps,) = self._kalman.x.tolist()
-        (p00, p01), (_, p11) = self._kalman.P.tolist()
+    def _publish(self, innovations: list[_Taken]) -> Sample:
+        distance_m, speed_mps = self._kalman.state
+        p00, p01, _, p11 = self._kalman.covariance
         p00 += self._settled_m2
-        state = DistanceState(
-            distance_m=distance_m,
-            speed_mps=speed_mps,
-            distance_std_m=sqrt(p00),
-            speed_std_mps=sqrt(p11),
-            covariance=(p00, p01, p01, p11),
-            innovations=innovations,
-        )
+        state = DistanceState()
+        state.distance_m = distance_m
+        state.speed_mps = speed_mps
+        state.distance_std_m = sqrt(p00)
+        state.speed_std_mps = sqrt(p11)
+        state.covariance.extend((p00, p01, p01, p11))
+        for taken in innovations:
+            state.innovations.add(
+                measurement=taken.measurement,
+                value=taken.innovation,
+                variance=taken.variance,
+                accepted=taken.accepted,
+            )
         return self.emit(keys.EST_DISTANCE, state, self._stamp_ns)
 
     # Memory --------------------------------------------------------------------------------------
@@ -205,8 +225,8 @@ class DistanceFilter(Processor):
     def snapshot(self) -> State:
         return {
             "sequences": self.sequences(),
-            "x": self._kalman.x.copy(),
-            "P": self._kalman.P.copy(),
+            "x": self._kalman.x,
+            "P": self._kalman.P,
             "stamp_ns": self._stamp_ns,
             "refusals": self._refusals,
             "wheels": list(self._wheels),
@@ -219,7 +239,7 @@ class DistanceFilter(Processor):
 
     def restore(self, state: State) -> None:
         self.restore_sequences(state["sequences"])
-        self._kalman.x, self._kalman.P = state["x"].copy(), state["P"].copy()
+        self._kalman.x, self._kalman.P = state["x"], state["P"]
         self._stamp_ns, self._refusals = state["stamp_ns"], state["refusals"]
         self._wheels, self._offset_m = list(state["wheels"]), state["offset_m"]
         self._path_m, self._path_ns = state["path_m"], state["path_ns"]

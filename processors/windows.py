@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tramstream.processor import State
+from tramstream.processors.window_kernels import CHANNELS, STAMPS, read_batch, weigh
 from tramstream.proto.raw_pb2 import ImuBatch
 
 Array = NDArray[np.float64]
 
-CHANNELS = 6
-"""gyro x y z, accelerometer x y z: the rows of all columns here."""
+ROOM = 4096
+"""Columns of the block at first: what is still needed moves to its front once in so many."""
 
 
 class Window(NamedTuple):
@@ -29,7 +30,7 @@ class Window(NamedTuple):
     sample_count: int
     bridged_count: int
     interval_ns: float
-    counts: list[float]
+    counts: tuple[float, ...]
     """gyro x y z, accelerometer x y z, in counts."""
 
 
@@ -58,6 +59,9 @@ def lowpass_taps(factor: int, rate_hz: float, cutoff_hz: float) -> Array:
 class Windows:
     """Collects batches of one run of samples and gives the windows that are complete.
 
+    Samples lie in the columns of one block; the newest is kept even when no window needs it any
+    more, for a gap is bridged from it.
+
     Parameters
     ----------
     factor : int
@@ -72,25 +76,21 @@ class Windows:
         self.factor = factor
         self.taps = taps
         self.lead = (len(taps) - factor) // 2
-        self._columns = np.empty((CHANNELS, 0))
-        self._stamps = np.empty(0)  # ns after _base_ns
+        self._block = np.zeros((CHANNELS + 1, max(ROOM, 4 * len(taps))))
+        self._start = 0  # first column that is still needed
+        self._stop = 0  # one after the newest sample
+        self._skip = 0  # columns from _start to where the next window begins
         self._base_ns = 0  # the run's first stamp
-        self._first = 0  # device sequence of column 0
         self._next_window = 0
         self._bridges: list[tuple[int, int]] = []  # invented samples: first sequence, and one after
-        self._last = np.empty((CHANNELS, 0))  # newest sample: a gap is bridged from it
         self._last_ns = 0.0  # after _base_ns
         self._period_ns = 0.0
-
-    @property
-    def empty(self) -> bool:
+        self.empty = True
         """Whether no run has begun."""
-        return self._last.shape[1] == 0
-
-    @property
-    def next_sequence(self) -> int:
+        self.next_sequence = 0
         """Device sequence that would continue the run."""
-        return self._first + self._columns.shape[1]
+        read_batch(b"", self._block, 0, 0.0, 0.0)  # compiled here, not at the first step
+        weigh(self._block, 0, taps)
 
     @property
     def last_stamp_ns(self) -> int:
@@ -101,6 +101,11 @@ class Windows:
         """Real samples that no window has been centred on yet."""
         start, stop = self._consumed, self.next_sequence
         return max(0, stop - start) - self._bridged(start, stop)
+
+    @property
+    def _first(self) -> int:
+        """Device sequence of the first column that is still needed."""
+        return self.next_sequence - self._stop + self._start
 
     @property
     def _consumed(self) -> int:
@@ -115,22 +120,28 @@ class Windows:
         int
             How many samples of the batch no window will be centred on, as in `extend`.
         """
-        self._columns, self._stamps = np.empty((CHANNELS, 0)), np.empty(0)
+        self.empty = True
+        self._start = self._stop = 0
         self._bridges = []
         self._base_ns = batch.stamp_ns
-        self._first = batch.first_sample_sequence
-        self._next_window = -(-(self._first + self.lead) // self.factor)  # first that lies in it
-        return self.extend(batch)
+        first = self.next_sequence = batch.first_sample_sequence
+        self._next_window = -(-(first + self.lead) // self.factor)  # first that lies in it
+        self._skip = self._consumed - self.lead - first
+        unused = self.extend(batch)
+        self.empty = False
+        return unused
 
     def bridge(self, batch: ImuBatch) -> None:
         """Interpolate from the newest sample to the first of `batch`, marked as invented."""
         first = self.next_sequence
         missing = batch.first_sample_sequence - first
+        self._write(batch, missing)  # `extend` puts it there again
+        block, stop = self._block, self._stop
         weights: Array = np.arange(1, missing + 1) / (missing + 1)
-        rise = _columns(batch)[:, :1] - self._last
-        start_ns = self._last_ns
-        span_ns = batch.stamp_ns - self._base_ns - start_ns
-        self._append(self._last + rise * weights, start_ns + span_ns * weights)
+        last, after = block[:, stop - 1 : stop], block[:, stop + missing : stop + missing + 1]
+        block[:, stop : stop + missing] = last + (after - last) * weights
+        self._stop += missing
+        self.next_sequence += missing
         self._bridges.append((first, first + missing))
 
     def extend(self, batch: ImuBatch) -> int:
@@ -141,55 +152,65 @@ class Windows:
         int
             How many of its samples no window will be centred on: they come before the first.
         """
-        columns = _columns(batch)
-        count = len(batch.gyro_x)
-        self._period_ns = batch.period_ns
-        numbers = np.arange(count, dtype=np.float64)
-        stamps = numbers * self._period_ns + (batch.stamp_ns - self._base_ns)
-        self._append(columns, stamps)
-        self._last, self._last_ns = columns[:, -1:], float(stamps[-1])
-        return min(count, max(0, self._consumed - batch.first_sample_sequence))
+        count = self._write(batch, 0)
+        before = self._next_window * self.factor - self.next_sequence
+        self._stop += count
+        self.next_sequence += count
+        return min(count, before) if before > 0 else 0
 
     def complete(self) -> list[Window]:
         """Windows that lie wholly in what has come; what they no longer need is dropped."""
-        windows = []
-        size = len(self.taps)
-        available = self._columns.shape[1]
-        start = self._consumed - self.lead - self._first
-        while start + size <= available:
-            windows.append(self._window(start, start + size))
+        windows: list[Window] = []
+        begin, size = self._start + self._skip, len(self.taps)
+        while begin + size <= self._stop:
+            windows.append(self._window(begin))
             self._next_window += 1
-            start += self.factor
+            begin += self.factor
         if windows:
-            self._columns = self._columns[:, start:]
-            self._stamps = self._stamps[start:]
-            self._first += start
-            self._bridges = [bridge for bridge in self._bridges if bridge[1] > self._first]
+            self._start, self._skip = begin, 0
+            if self._bridges:
+                self._bridges = [bridge for bridge in self._bridges if bridge[1] > self._first]
         return windows
 
-    def _append(self, columns: Array, stamps: Array) -> None:
-        if self._columns.shape[1]:
-            self._columns = np.concatenate((self._columns, columns), axis=1)
-            self._stamps = np.concatenate((self._stamps, stamps))
-        else:
-            self._columns, self._stamps = columns, stamps
+    def _write(self, batch: ImuBatch, skip: int) -> int:
+        """Put the samples of `batch` behind what is there and `skip` more; return their count."""
+        payload = batch.SerializeToString()
+        most = skip + len(payload) // CHANNELS
+        if self._stop + most > self._block.shape[1]:
+            self._make_room(most)
+        start_ns, period_ns = float(batch.stamp_ns - self._base_ns), batch.period_ns
+        count = read_batch(payload, self._block, self._stop + skip, start_ns, period_ns)
+        if count < 0:
+            raise ValueError(f"the columns of batch {batch.sequence} differ in length")
+        self._period_ns = period_ns
+        self._last_ns = (count - 1) * period_ns + start_ns
+        return count
 
-    def _window(self, start: int, stop: int) -> Window:
-        # Not `@`, and C order: the sum must not depend on where and how the slice lies in memory,
-        # for a reprocessed ride has the same bits.
-        centre = np.multiply(self._columns[:, start:stop], self.taps, order="C").sum(axis=1)
-        first_ns, last_ns = float(self._stamps[start]), float(self._stamps[stop - 1])
-        steps = stop - start - 1
+    def _make_room(self, count: int) -> None:
+        """Move what is needed, and the newest sample, to the front of a block long enough."""
+        begin = max(0, min(self._start, self._stop - 1))
+        kept = self._block[:, begin : self._stop].copy()
+        room = max(self._block.shape[1], 2 * (kept.shape[1] + count))
+        self._block = np.zeros((CHANNELS + 1, room))
+        self._block[:, : kept.shape[1]] = kept
+        self._start, self._stop = self._start - begin, kept.shape[1]
+
+    def _window(self, begin: int) -> Window:
+        sums = weigh(self._block, begin, self.taps)
+        first_ns, last_ns = sums[CHANNELS:]
+        steps, factor = len(self.taps) - 1, self.factor
         period_ns = (last_ns - first_ns) / steps if steps else self._period_ns
-        first_sequence = self._consumed
-        bridged = self._bridged(first_sequence, first_sequence + self.factor)
+        first_sequence = self._next_window * factor
+        bridged = 0
+        if self._bridges:
+            bridged = self._bridged(first_sequence, first_sequence + factor)
         return Window(
-            stamp_ns=self._base_ns + round((first_ns + last_ns) / 2.0),
-            first_sequence=first_sequence,
-            sample_count=self.factor - bridged,
-            bridged_count=bridged,
-            interval_ns=period_ns * self.factor,
-            counts=centre.tolist(),
+            self._base_ns + round((first_ns + last_ns) / 2.0),
+            first_sequence,
+            factor - bridged,
+            bridged,
+            period_ns * factor,
+            sums[:CHANNELS],
         )
 
     def _bridged(self, start: int, stop: int) -> int:
@@ -197,37 +218,32 @@ class Windows:
         return sum(max(0, min(stop, end) - max(start, first)) for first, end in self._bridges)
 
     def snapshot(self) -> State:
+        block, start, stop = self._block, self._start, self._stop
         return {
-            "columns": self._columns.copy(),
-            "stamps": self._stamps.copy(),
+            "columns": block[:CHANNELS, start:stop].copy(),
+            "stamps": block[STAMPS, start:stop].copy(),
             "base_ns": self._base_ns,
             "first": self._first,
             "next_window": self._next_window,
             "bridges": [list(bridge) for bridge in self._bridges],
-            "last": self._last.copy(),
+            "last": block[:CHANNELS, max(0, stop - 1) : stop].copy(),
             "last_ns": self._last_ns,
             "period_ns": self._period_ns,
         }
 
     def restore(self, state: State) -> None:
-        self._columns, self._stamps = state["columns"].copy(), state["stamps"].copy()
-        self._base_ns, self._first = state["base_ns"], state["first"]
+        columns, last = state["columns"], state["last"]
+        self._start, self._stop = 0, 0
+        self._make_room(1 + columns.shape[1])
+        self.empty = last.shape[1] == 0
+        block, begin = self._block, last.shape[1]
+        block[:CHANNELS, :begin], block[STAMPS, :begin] = last, state["last_ns"]
+        self._start, self._stop = begin, begin + columns.shape[1]
+        block[:CHANNELS, begin : self._stop] = columns
+        block[STAMPS, begin : self._stop] = state["stamps"]
+        self._base_ns, self._last_ns = state["base_ns"], state["last_ns"]
+        self.next_sequence = state["first"] + columns.shape[1]
         self._next_window = state["next_window"]
+        self._skip = self._consumed - self.lead - state["first"]
         self._bridges = [(first, end) for first, end in state["bridges"]]
-        self._last, self._last_ns = state["last"].copy(), state["last_ns"]
         self._period_ns = state["period_ns"]
-
-
-def _columns(batch: ImuBatch) -> Array:
-    """Counts of a batch, shape (6, n)."""
-    return np.array(
-        [  # [:] makes lists of the fields, which numpy reads twice as fast
-            batch.gyro_x[:],
-            batch.gyro_y[:],
-            batch.gyro_z[:],
-            batch.accel_x[:],
-            batch.accel_y[:],
-            batch.accel_z[:],
-        ],
-        dtype=np.float64,
-    )

@@ -6,8 +6,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tramstream import keys
-from tramstream.recorder.reader import Entry
-from tramstream.recorder.reprocess import Made
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""
@@ -34,18 +32,17 @@ class Comparison:
         self._expected: dict[tuple[int, str], deque[tuple[int, bytes]]] = {}
         self._latest_session = 0
 
-    def expect(self, session: int, path: str, entry: Entry) -> None:
+    def expect(self, session: int, path: str, sequence: int, payload: bytes) -> None:
         """Take an output that the live run published."""
         self._latest_session = max(self._latest_session, session)
         place = (session, path)
-        self._expected.setdefault(place, deque()).append((entry.sequence, entry.payload))
+        self._expected.setdefault(place, deque()).append((sequence, payload))
         self._settle(place)
 
-    def make(self, made: Made) -> None:
+    def make(self, session: int, path: str, sequence: int, payload: bytes) -> None:
         """Take an output that was made again."""
-        place = (made.session, made.key.path)
-        sequence = made.sample.sequence & SEQUENCE_MASK
-        self._made.setdefault(place, deque()).append((sequence, made.payload))
+        place = (session, path)
+        self._made.setdefault(place, deque()).append((sequence & SEQUENCE_MASK, payload))
         self._settle(place)
 
     def close(self) -> None:

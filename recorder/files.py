@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import zstandard
 from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from tramstream.errors import RecordError
@@ -53,6 +54,7 @@ class File:
     damages: list[Damage] = field(default_factory=list)
     chunks: list[Chunk] = field(default_factory=list)
     topics: dict[int, tuple[str, int]] = field(default_factory=dict)
+    decompressor: zstandard.ZstdDecompressor = field(default_factory=zstandard.ZstdDecompressor)
 
     @property
     def session(self) -> str:
@@ -143,7 +145,8 @@ def load(chunk: Chunk) -> Restored:
     head = read_chunk_head(record[:64])
     restored = Restored(b"", whole=False)
     if head is not None:
-        restored = decode_chunk(head, record[head.data_offset :], None, cut=False)
+        data = record[head.data_offset :]
+        restored = decode_chunk(head, data, None, False, chunk.file.decompressor)
     if not restored.whole:
         restored = _by_guard(source, place)
         if not restored.whole:

@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from operator import attrgetter
+from typing import Any
 
 from tramstream import keys, snapshots
 from tramstream.clock import S
@@ -33,17 +34,17 @@ SYNTHETIC_TICK_NS = S // 10
 EARLY_NS = S
 """How far ahead of the horizon measurements are fed where no tick says what the live run had."""
 RECORDER = "recorder"
+_FOREVER_NS = 1 << 64
+_ORDER = attrgetter("log_ns", "channel_id", "sequence")
+_LOG_NS, _PUBLISH_NS = attrgetter("log_ns"), attrgetter("publish_ns")
 
 
-class Made(NamedTuple):
-    """One output sample, encoded, and the log time of what it followed from."""
-
-    key: Key
-    payload: bytes
-    log_ns: int
-    sample: Sample
-    session: int
-    """Index of the repeated session."""
+Output = tuple[Sample, bytes]
+"""What a processor made, and the same encoded."""
+Take = Callable[[int, int, list[Output]], None]
+"""Gets what followed from one input, in order: index of the repeated session, log time, outputs."""
+Expect = Callable[[int, str, int, bytes], None]
+"""Gets one recorded output: index of the repeated session, key path, sequence, encoded message."""
 
 
 @dataclass
@@ -105,6 +106,30 @@ def _see_loss(plan: Plan, loss: Loss) -> None:
         plan.recorder_lost[path] = plan.recorder_lost.get(path, 0) + loss.count
 
 
+@dataclass(slots=True)
+class _Input:
+    """One key that the processors read from the record."""
+
+    key: Key
+    paces: bool
+    """Whether it moves a horizon on; what does not may be fed early."""
+    lost: list[tuple[int, int]]
+    """Publication times (exclusive) of what the live processors never got."""
+    steps: list[Callable[[Sample], list[Sample]]]
+    queue: deque[Entry] = field(default_factory=deque)
+    read_to_ns: int = 0
+    """Newest publication read from the record."""
+    fed: int = 0
+    """In this session, what is missing in the record included."""
+
+    def put(self, entry: Entry) -> None:
+        self.read_to_ns = entry.publish_ns
+        for after_ns, before_ns in self.lost:
+            if after_ns < entry.publish_ns < before_ns:
+                return
+        self.queue.append(entry)
+
+
 class Reprocessor:
     """Runs processors over a record as the live run did.
 
@@ -115,8 +140,10 @@ class Reprocessor:
         Fresh ones.
     plan : Plan
         From `read_plan`; an empty one makes the ticks from the log times.
-    expect : callable
-        Gets every recorded output (session index, key path, entry) of the repeated sessions.
+    take : callable
+        Gets the outputs, in the order in which they follow from the inputs.
+    others : collection of str
+        Names of processors that run elsewhere: their memory in a snapshot is not looked at.
     """
 
     def __init__(
@@ -124,200 +151,225 @@ class Reprocessor:
         record: Record,
         processors: list[Processor],
         plan: Plan,
-        expect: Callable[[int, str, Entry], None] | None = None,
+        take: Take,
+        others: Collection[str] = (),
     ) -> None:
         self._record = record
         self._processors = processors
         self._plan = plan
-        self._expect = expect
-        made = {key.path for processor in processors for key in processor.outputs}
-        wanted = {key.path for processor in processors for key in processor.inputs} - made
-        self._inputs = wanted - {keys.SYNC_TICK.path}
-        self._outputs = made
-        self._pacing = {key.path for processor in processors for key in processor.pacing}
-        self._consumers: dict[str, list[Processor]] = {}
+        self._take = take
+        self._others = others
+        self._expect: Expect | None = None
+        self._steps: dict[str, list[Callable[[Sample], list[Sample]]]] = {}
         for processor in processors:
             for key in processor.inputs:
-                self._consumers.setdefault(key.path, []).append(processor)
-        self._keys: dict[str, Key | None] = {}  # by topic
-        self._queues: dict[str, deque[tuple[Entry, Key]]] = {path: deque() for path in wanted}
-        self._read_to: dict[str, int] = {}  # newest publish_ns read, per path
-        self._fed: dict[str, int] = {}
+                self._steps.setdefault(key.path, []).append(processor.step)
+        self._outputs = {key.path for processor in processors for key in processor.outputs}
+        pacing = {key.path for processor in processors for key in processor.pacing}
+        self._inputs = {
+            key.path: _Input(
+                key, key.path in pacing, plan.skip.get(key.path, []), self._steps[key.path]
+            )
+            for processor in processors
+            for key in processor.inputs
+            if key.path not in self._outputs and key is not keys.SYNC_TICK
+        }
+        self._topics: dict[str, _Input | Key | None] = {}
+        self._starts = [session.publish_ns for session in plan.sessions]
         self._log_ns = 0
         self._session = 0
         self.missing: dict[str, int] = {}
         """Per key path: inputs that the live processors had and the record does not."""
 
-    def run(self) -> Iterator[Made]:
-        """Yield the outputs in the order in which they follow from the inputs."""
+    def compare(self, expect: Expect, others: Collection[str] = ()) -> None:
+        """Hand recorded outputs of the repeated sessions to `expect`; of `others` (paths), too."""
+        self._expect = expect
+        self._outputs = self._outputs.union(others)
+
+    def run(self) -> None:
+        """Read the record, step the processors, hand out what they make."""
         if self._plan.anchored:
-            yield from self._run_sessions()
+            self._run_sessions()
         else:
-            yield from self._run_free()
+            self._run_free()
 
-    # Reading -------------------------------------------------------------------------------------
-    def _entries(self, control: str) -> Iterator[tuple[str, Entry, Key]]:
-        wanted = self._inputs | {control} | (self._outputs if self._expect is not None else set())
-        table = self._keys
-
-        def match(topic: str) -> bool:
+    def _wanted(self, topic: str) -> bool:
+        """Whether messages of `topic` are read; `_topics` then knows what they are."""
+        if topic not in self._topics:
             path = keys.split(topic)[1]
-            if topic not in table:
-                table[topic] = keys.find(path) if path in wanted else None
-            return table[topic] is not None
-
-        for entry in self._record.messages(match):
-            key = table[entry.topic]
-            if key is not None:
-                yield key.path, entry, key
-
-    def _queue(self, path: str, entry: Entry, key: Key) -> None:
-        self._read_to[path] = entry.publish_ns
-        for after_ns, before_ns in self._plan.skip.get(path, ()):
-            if after_ns < entry.publish_ns < before_ns:
-                return
-        self._queues[path].append((entry, key))
+            compared = self._expect is not None and path in self._outputs
+            control = compared or path == keys.SYNC_TICK.path
+            self._topics[topic] = self._inputs.get(path) or (keys.find(path) if control else None)
+        return self._topics[topic] is not None
 
     # With ticks ----------------------------------------------------------------------------------
-    def _run_sessions(self) -> Iterator[Made]:
+    def _run_sessions(self) -> None:
         self._begin(0)
         ticks: deque[tuple[Tick, Entry]] = deque()
-        for path, entry, key in self._entries(keys.SYNC_TICK.path):
-            if path == keys.SYNC_TICK.path:
+        topics = self._topics
+        for entry in self._record.messages(self._wanted):
+            known = topics[entry.topic]
+            if isinstance(known, _Input):
+                known.put(entry)
+            elif known is keys.SYNC_TICK:
                 ticks.append((Tick.FromString(entry.payload), entry))
-            elif path in self._outputs:
-                self._offer(path, entry)
-            else:
-                self._queue(path, entry, key)
-            while ticks and self._complete(*ticks[0], entry.log_ns):
-                yield from self._feed_tick(*ticks.popleft())
+                while ticks and self._complete(*ticks[0], entry.log_ns):
+                    self._feed_tick(*ticks.popleft())
+            elif known is not None:
+                self._offer(known.path, entry)
         for tick, entry in ticks:
-            yield from self._feed_tick(tick, entry)
-        yield from self._feed(lambda path, entry: True)
+            self._feed_tick(tick, entry)
+        self._feed(_LOG_NS, dict.fromkeys(self._inputs, _FOREVER_NS))
 
     def _begin(self, index: int) -> None:
         snapshot = self._plan.sessions[index].snapshot
-        # With `run --separate` only the resampler's process makes snapshots; others begin fresh.
-        if not snapshots.restore(snapshot, self._processors, some=True):
-            recorded = ", ".join(state.name for state in snapshot.states)
-            ours = ", ".join(processor.name for processor in self._processors)
-            raise RecordError(
-                f"the record's snapshot is of other processors ({recorded}) than ours ({ours}); "
-                "use the version of tramstream that made it, or --fresh"
-            )
+        restore(snapshot, self._processors, self._others)
         self._session = index
         self._snapshot = snapshot
         self._done = {position.key: position for position in snapshot.positions}
-        self._fed = {}
+        for source in self._inputs.values():
+            source.fed = 0
 
     def _offer(self, path: str, entry: Entry) -> None:
         """Hand a recorded output of a repeated session to whoever compares."""
-        starts = [session.publish_ns for session in self._plan.sessions]
-        index = bisect_left(starts, entry.publish_ns) - 1
+        index = bisect_left(self._starts, entry.publish_ns) - 1
         if index >= 0 and self._expect is not None:
-            self._expect(index, path, entry)
+            self._expect(index, path, entry.sequence, entry.payload)
 
     def _complete(self, tick: Tick, entry: Entry, now_ns: int) -> bool:
         """Whether everything that the tick counts has been read from the record."""
         if now_ns - entry.log_ns > SETTLE_NS:
             return True
         return all(
-            self._read_to.get(position.key, 0) >= position.last_publish_ns
+            self._inputs[position.key].read_to_ns >= position.last_publish_ns
             for position in tick.positions
-            if position.key in self._queues
+            if position.key in self._inputs
         )
 
-    def _feed_tick(self, tick: Tick, entry: Entry) -> Iterator[Made]:
+    def _feed_tick(self, tick: Tick, entry: Entry) -> None:
         for index in range(self._session + 1, len(self._plan.sessions)):
             if self._plan.sessions[index].snapshot.session == tick.session:
                 self._begin(index)
         snapshot = self._snapshot
         if tick.session != snapshot.session or tick.sequence <= snapshot.tick_sequence:
             return
-        last: dict[str, Position] = {position.key: position for position in tick.positions}
-        for path, position in last.items():
-            self._drop_unread(path, position)
-        yield from self._feed(
-            lambda path, entry: path in last and entry.publish_ns <= last[path].last_publish_ns
-        )
-        for path, position in last.items():
-            self._count_missing(path, position)
+        positions = [each for each in tick.positions if each.key in self._inputs]
+        for position in positions:
+            self._drop_unread(self._inputs[position.key], position)
+        self._feed(_PUBLISH_NS, {each.key: each.last_publish_ns for each in positions})
+        for position in positions:
+            self._count_missing(self._inputs[position.key], position)
         self._log_ns = max(self._log_ns, entry.log_ns)
-        sample = Sample(keys.SYNC_TICK, tick, tick.stamp_ns, tick.sequence, entry.publish_ns)
-        yield from self._dispatch(sample)
+        self._dispatch(
+            Sample(keys.SYNC_TICK, tick, tick.stamp_ns, tick.sequence, entry.publish_ns),
+            self._steps.get(keys.SYNC_TICK.path, []),
+        )
 
-    def _drop_unread(self, path: str, position: Position) -> None:
+    def _drop_unread(self, source: _Input, position: Position) -> None:
         """Forget what this session never read, or had read before its snapshot."""
-        queue = self._queues.get(path)
-        if not queue or path in self._fed:
+        if not source.queue or source.fed:
             return
-        done_ns = self._done[path].last_publish_ns if path in self._done else 0
-        first_ns = max(position.first_publish_ns, done_ns + 1)
-        while queue and queue[0][0].publish_ns < first_ns:
-            queue.popleft()
+        done = self._done.get(position.key)
+        first_ns = max(position.first_publish_ns, done.last_publish_ns + 1 if done else 1)
+        while source.queue and source.queue[0].publish_ns < first_ns:
+            source.queue.popleft()
 
-    def _count_missing(self, path: str, position: Position) -> None:
-        before = self._done[path].count if path in self._done else 0
-        short = position.count - before - self._fed.get(path, 0)
-        if path in self._queues and short > 0:
-            self.missing[path] = self.missing.get(path, 0) + short
-            self._fed[path] = self._fed.get(path, 0) + short
+    def _count_missing(self, source: _Input, position: Position) -> None:
+        done = self._done.get(position.key)
+        short = position.count - (done.count if done else 0) - source.fed
+        if short > 0:
+            self.missing[position.key] = self.missing.get(position.key, 0) + short
+            source.fed += short
 
     # Without ticks -------------------------------------------------------------------------------
-    def _run_free(self) -> Iterator[Made]:
+    def _run_free(self) -> None:
         """A tick every tenth of a second of log time, one second behind what has been read."""
-        next_ns = 0
+        next_ns = last_ns = 0
         sequence = 0
-        for path, entry, key in self._entries(keys.SYNC_TICK.path):
-            if path not in self._queues or path == keys.SYNC_TICK.path:
+        for entry in self._record.messages(self._wanted):
+            source = self._topics[entry.topic]
+            if not isinstance(source, _Input):
                 continue
+            last_ns = entry.log_ns
             if next_ns == 0:
                 next_ns = entry.log_ns + SYNTHETIC_TICK_NS
-            self._queue(path, entry, key)
+            source.put(entry)
             while entry.log_ns > next_ns + EARLY_NS:
                 sequence += 1
-                yield from self._feed_until(next_ns, sequence)
+                self._feed_until(next_ns, sequence)
                 next_ns += SYNTHETIC_TICK_NS
-        while any(self._queues.values()):
+        # The horizon lags: ticks go on until it has passed what came last.
+        while last_ns and (
+            next_ns <= last_ns + EARLY_NS or any(s.queue for s in self._inputs.values())
+        ):
             sequence += 1
-            yield from self._feed_until(next_ns, sequence)
+            self._feed_until(next_ns, sequence)
             next_ns += SYNTHETIC_TICK_NS
 
-    def _feed_until(self, log_ns: int, sequence: int) -> Iterator[Made]:
+    def _feed_until(self, log_ns: int, sequence: int) -> None:
         # What does not pace may be fed early: then nothing is late.
-        yield from self._feed(
-            lambda path, entry: (
-                entry.log_ns <= (log_ns if path in self._pacing else log_ns + EARLY_NS)
-            )
-        )
+        limits = {
+            path: log_ns if source.paces else log_ns + EARLY_NS
+            for path, source in self._inputs.items()
+        }
+        self._feed(_LOG_NS, limits)
         self._log_ns = max(self._log_ns, log_ns)
         tick = Tick(stamp_ns=log_ns, sequence=sequence)
-        yield from self._dispatch(Sample(keys.SYNC_TICK, tick, log_ns, sequence))
+        sample = Sample(keys.SYNC_TICK, tick, log_ns, sequence)
+        self._dispatch(sample, self._steps.get(keys.SYNC_TICK.path, []))
 
     # Stepping ------------------------------------------------------------------------------------
-    def _feed(self, due: Callable[[str, Entry], bool]) -> Iterator[Made]:
+    def _feed(self, time_of: Callable[[Entry], int], limits: Mapping[str, int]) -> None:
         """Step what is due: first what may come early, then what moves the horizon on."""
-        batch: list[tuple[bool, int, int, int, Entry, Key]] = []
-        for path, queue in self._queues.items():
-            paces = path in self._pacing
-            while queue and due(path, queue[0][0]):
-                entry, key = queue.popleft()
-                batch.append((paces, entry.log_ns, entry.channel_id, entry.sequence, entry, key))
-                self._fed[path] = self._fed.get(path, 0) + 1
-        batch.sort(key=lambda item: item[:4])
-        for *_, entry, key in batch:
-            message: Any = key.type.FromString(entry.payload)
-            self._log_ns = max(self._log_ns, entry.log_ns)
-            yield from self._dispatch(
-                Sample(key, message, message.stamp_ns, message.sequence, entry.publish_ns)
-            )
+        early: list[Entry] = []
+        pacing: list[Entry] = []
+        for path, limit_ns in limits.items():
+            source = self._inputs[path]
+            batch, queue = pacing if source.paces else early, source.queue
+            while queue and time_of(queue[0]) <= limit_ns:
+                batch.append(queue.popleft())
+                source.fed += 1
+        for batch in (early, pacing):
+            batch.sort(key=_ORDER)
+            for entry in batch:
+                known = self._topics[entry.topic]
+                assert isinstance(known, _Input)
+                key = known.key
+                message: Any = key.type.FromString(entry.payload)
+                self._log_ns = max(self._log_ns, entry.log_ns)
+                sample = Sample(key, message, message.stamp_ns, message.sequence, entry.publish_ns)
+                self._dispatch(sample, known.steps)
 
-    def _dispatch(self, sample: Sample) -> Iterator[Made]:
-        work = deque([sample])
-        while work:
-            current = work.popleft()
-            for processor in self._consumers.get(current.key.path, ()):
-                for result in processor.step(current):
-                    payload = result.message.SerializeToString()
-                    yield Made(result.key, payload, self._log_ns, result, self._session)
-                    work.append(result)
+    def _dispatch(self, sample: Sample, steps: list[Callable[[Sample], list[Sample]]]) -> None:
+        """Step a sample through everybody who wants it, and what follows likewise."""
+        outputs: list[Output] = []
+        work = [(sample, steps)]
+        for current, wanting in work:  # grows meanwhile
+            for step in wanting:
+                for result in step(current):
+                    outputs.append((result, result.message.SerializeToString()))
+                    following = self._steps.get(result.key.path)
+                    if following:
+                        work.append((result, following))
+        if outputs:
+            self._take(self._session, self._log_ns, outputs)
+
+
+def restore(snapshot: Snapshot, processors: list[Processor], others: Collection[str]) -> None:
+    """Put memory back as a session began with it; that of `others` (names) is somebody else's.
+
+    With `run --separate` only the resampler's process makes snapshots; others begin fresh.
+
+    Raises
+    ------
+    RecordError
+        If the snapshot is of other processors.
+    """
+    ours = Snapshot(states=[state for state in snapshot.states if state.name not in others])
+    if not snapshots.restore(ours, processors, some=True):
+        recorded = ", ".join(state.name for state in ours.states)
+        known = ", ".join(processor.name for processor in processors)
+        raise RecordError(
+            f"the record's snapshot is of other processors ({recorded}) than ours ({known}); "
+            "use the version of tramstream that made it, or --fresh"
+        )

@@ -13,10 +13,11 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError, RecordError
 from tramstream.processor import Ordering, Processor
+from tramstream.recorder.apart import part, run_apart
 from tramstream.recorder.compare import Comparison
 from tramstream.recorder.reader import Record, open_record
-from tramstream.recorder.reprocess import Plan, Reprocessor, read_plan
-from tramstream.recorder.writer import RecordFile
+from tramstream.recorder.reprocess import Output, Plan, Reprocessor, Take, read_plan
+from tramstream.recorder.writer import CHUNK_BYTES, RecordFile
 
 
 @dataclass
@@ -81,36 +82,52 @@ def rerun(
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
         comparison = Comparison() if check else None
-        run = Reprocessor(
-            record, processors, plan, comparison.expect if comparison is not None else None
-        )
         metadata = {
             configs.RECORD_ENTRY: configs.to_json(vehicle),
             "reprocessed_from": source.name,
         }
-        outputs = 0
-        topics: dict[str, str] = {}
-        with RecordFile(out, record.vehicle or vehicle.vehicle, metadata) as target:
-            for made in run.run():
-                path = made.key.path
-                topic = topics.get(path)
-                if topic is None:
-                    topic = topics[path] = made.key.on(record.vehicle or vehicle.vehicle)
-                target.append(
-                    topic, made.key, made.payload, made.log_ns, made.log_ns, made.sample.sequence
-                )
-                outputs += 1
-                if comparison is not None:
-                    comparison.make(made)
+        name = record.vehicle or vehicle.vehicle
+        with RecordFile(out, name, metadata) as target:
+            target.block_bytes = CHUNK_BYTES
+            take = _writer(target, name, comparison)
+            expect = comparison.expect if comparison is not None else None
+            first, behind = part(processors)
+            if behind:
+                missing = run_apart(record, (first, behind), plan, take, expect)
+            else:
+                run = Reprocessor(record, processors, plan, take)
+                if expect is not None:
+                    run.compare(expect)
+                run.run()
+                missing = run.missing
+            outputs = target.message_count
         if comparison is not None:
             comparison.close()
         return Rerun(
             outputs=outputs,
             sessions=len(plan.sessions),
             duration_s=(record.end_ns - record.start_ns) / S,
-            missing=run.missing,
+            missing=missing,
             comparison=comparison,
         )
+
+
+def _writer(target: RecordFile, vehicle: str, comparison: Comparison | None) -> Take:
+    """Appends outputs to `target` and hands them to `comparison`."""
+    append = target.append
+    topics: dict[str, str] = {}
+
+    def take(session: int, log_ns: int, outputs: list[Output]) -> None:
+        for sample, payload in outputs:
+            key = sample.key
+            topic = topics.get(key.path)
+            if topic is None:
+                topic = topics[key.path] = key.on(vehicle)
+            append(topic, key, payload, log_ns, log_ns, sample.sequence)
+            if comparison is not None:
+                comparison.make(session, key.path, sample.sequence, payload)
+
+    return take
 
 
 def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:

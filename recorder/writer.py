@@ -41,6 +41,7 @@ _SOFTWARE = f"tramstream {__version__}"
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size even between flushes."""
 _PAYLOAD_FROM = MESSAGE.size - RECORD.size
+_pack = MESSAGE.pack
 
 
 @dataclass(slots=True)
@@ -103,7 +104,10 @@ class RecordFile:
         self._full = self._closed = False
         self._buffer = bytearray()
         self._marks: list[int] = []
-        self._next_mark = BLOCK_BYTES
+        self._mark = 0
+        self.block_bytes = BLOCK_BYTES
+        """Records that a tear loses; a file that can be made again is written faster in whole
+        chunks."""
         values = {
             "schema_version": str(SCHEMA_VERSION),
             "vehicle": vehicle,
@@ -222,16 +226,14 @@ class RecordFile:
         self, stream: _Stream, payload: bytes, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
         buffer = self._buffer
-        offset = len(buffer)
-        buffer += MESSAGE.pack(
-            5, _PAYLOAD_FROM + len(payload), stream.id, sequence & 0xFFFFFFFF, log_ns, publish_ns
-        )
+        stream.index += (log_ns, len(buffer))
+        length = _PAYLOAD_FROM + len(payload)
+        buffer += _pack(5, length, stream.id, sequence & 0xFFFFFFFF, log_ns, publish_ns)
         buffer += payload
-        stream.index += (log_ns, offset)
         offset = len(buffer)
-        if offset >= self._next_mark:
+        if offset - self._mark >= self.block_bytes:
             self._marks.append(offset)
-            self._next_mark = offset + BLOCK_BYTES
+            self._mark = offset
             if offset >= self._chunk_bytes:
                 self._close_chunk()
                 if not self._live:
@@ -341,7 +343,7 @@ class RecordFile:
             self.contents.count(id_, len(entries) // 2)
             self._by_id[id_].index = []
         self._fresh.clear()
-        self._buffer, self._marks, self._next_mark = bytearray(), [], BLOCK_BYTES
+        self._buffer, self._marks, self._mark = bytearray(), [], 0
         self._put(definitions + guard + chunk + indexes)
         self._full = self._live and self._sink.pending_bytes > self._limit_bytes
 

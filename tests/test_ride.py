@@ -196,3 +196,44 @@ def test_truth_message_holds_the_motion_in_its_units() -> None:
     np.testing.assert_allclose(
         ride.line.level.from_geodetic(geodetic), ride.position_l(25.0), atol=MICROMETRE
     )
+
+
+def test_reversed_ride_is_the_same_with_the_vehicle_turned_round() -> None:
+    forward, backward = built_in(), Ride(built_in_line(), reverse=True)
+    time = np.arange(0.0, forward.duration_s, 1.7)
+    one, other = forward.motion(time), backward.motion(time)
+    np.testing.assert_array_equal(other.arc_length_m, one.arc_length_m)
+    np.testing.assert_array_equal(other.speed_mps, -one.speed_mps)
+    np.testing.assert_array_equal(other.acceleration_mps2, -one.acceleration_mps2)
+    np.testing.assert_allclose(np.cos(other.yaw_rad - one.yaw_rad), -1.0, atol=ROUNDING)
+    np.testing.assert_array_equal(other.yaw_rate_radps, one.yaw_rate_radps)
+    np.testing.assert_array_equal(other.pitch_rad, -one.pitch_rad)
+    np.testing.assert_array_equal(other.roll_rad, -one.roll_rad)
+    assert np.min(one.pitch_rad) == pytest.approx(-math.atan(0.07), abs=1e-4)  # uphill: nose up
+
+
+def test_time_at_an_arc_length_is_when_the_ride_gets_there() -> None:
+    ride = built_in()
+    for arc_length_m in (0.1, 131.0, 777.7, 5000.0, ride.line.length_m - 0.01):
+        time_s = ride.time_at_s(arc_length_m)
+        assert float(ride.motion(time_s).arc_length_m) == pytest.approx(
+            arc_length_m, abs=MICROMETRE
+        )
+    arrival = ride.dwells_s[3, 0]
+    # The speed goes to zero with its square: a nanometre before the stop is a centisecond away.
+    assert ride.time_at_s(float(ride.line.stops_m[3])) == pytest.approx(arrival, abs=0.05)
+    assert ride.time_at_s(1e9) == pytest.approx(ride.duration_s)
+
+
+def test_rates_of_attitude_are_derivatives() -> None:
+    ride = built_in()
+    time, step_s = np.arange(10.0, 3000.0, 0.73), 1e-3
+    before, motion, after = (ride.motion(time + shift) for shift in (-step_s, 0.0, step_s))
+    for name in ("yaw", "pitch", "roll"):
+        rate = getattr(motion, f"{name}_rate_radps")
+        change = getattr(after, f"{name}_rad") - getattr(before, f"{name}_rad")
+        np.testing.assert_allclose(change / (2 * step_s), rate, atol=2e-5)
+        bend = getattr(after, f"{name}_rate_radps") - getattr(before, f"{name}_rate_radps")
+        acceleration = getattr(motion, f"{name}_acceleration_radps2")
+        error = np.abs(bend / (2 * step_s) - acceleration)
+        assert np.percentile(error, 98) < 1e-4  # the rest lies across corners

@@ -10,7 +10,7 @@ import hashlib
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import msgspec.inspect
@@ -23,6 +23,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=1)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[float, float, float]
+Decoded = TypeVar("Decoded", bound=msgspec.Struct)
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -178,6 +179,14 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """tram: ours. kaspar2023: the 25 states of the work, for comparison."""
     integrity_risk: Annotated[float, Meta(gt=0, le=0.1)] = 0.001
     """Share of time that the true error may exceed the protection level, along or across."""
+    wheel_creep_m_rtm: NotNegative = 0.0002
+    """Creep of a rolling wheel: deviation of its path after one metre; it walks."""
+    force_std_mps2_rthz: NotNegative = 0.003
+    """Specific force along the track that is no motion: the body's pitching, vibration."""
+    acceleration_std_mps2_rthz: Positive = 0.7
+    """How the speed may change where no accelerometer tells."""
+    tilt_std_rad_rts: Positive = 0.005
+    """How roll and pitch may change where no gyroscope tells: a grade of 7 % within 200 s."""
 
 
 class Recorder(Struct, frozen=True, kw_only=True):
@@ -262,16 +271,35 @@ def load(path: Path) -> Vehicle:
 
 def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     """Decode configuration text; see `load`."""
+    return _resolve(decode_toml(data, Vehicle, name), folder)
+
+
+def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
+    """Decode TOML text into a struct, as strictly as a configuration.
+
+    Parameters
+    ----------
+    data : bytes
+        The text.
+    type_ : type
+        What the whole document is.
+    name : str
+        Of the file, for the sentence.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file, the path of the field and what was expected.
+    """
     try:
         raw: dict[str, Any] = msgspec.toml.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{name}: not TOML: {error}") from error
     try:
-        _check(raw, msgspec.inspect.type_info(Vehicle), "$")
-        vehicle = msgspec.convert(raw, Vehicle)
+        _check(raw, msgspec.inspect.type_info(type_), "$")
+        return msgspec.convert(raw, type_)
     except (ValueError, msgspec.ValidationError) as error:
         raise ConfigError(f"{name}: {error}") from error
-    return _resolve(vehicle, folder)
 
 
 def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
@@ -284,21 +312,33 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
     """
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{path}: {value} is not a finite number")
-    if isinstance(expected, msgspec.inspect.UnionType):  # a section that may be absent
-        structs = [each for each in expected.types if isinstance(each, msgspec.inspect.StructType)]
-        expected = structs[0] if structs else expected
+    if isinstance(expected, msgspec.inspect.UnionType):
+        expected = _chosen(expected, value)
     if isinstance(value, list):
+        item_type = getattr(expected, "item_type", msgspec.inspect.AnyType())
         for index, item in enumerate(value):
-            _check(item, msgspec.inspect.AnyType(), f"{path}[{index}]")
+            _check(item, item_type, f"{path}[{index}]")
     elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.DictType):
         for name, item in value.items():
             _check(item, expected.value_type, f"{path}.{name}")
     elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.StructType):
         known = {field.encode_name: field.type for field in expected.fields}
+        if expected.tag_field:
+            known[expected.tag_field] = msgspec.inspect.AnyType()
         for name, item in value.items():
             if name not in known:
                 raise ValueError(_unknown(f"{path}.{name}", name, list(known)))
             _check(item, known[name], f"{path}.{name}")
+
+
+def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Type:
+    """The member that `value` is: a section that may be absent, or one of several by its tag."""
+    structs = [each for each in union.types if isinstance(each, msgspec.inspect.StructType)]
+    if isinstance(value, dict):
+        structs = [
+            each for each in structs if not each.tag_field or value.get(each.tag_field) == each.tag
+        ]
+    return structs[0] if structs else msgspec.inspect.AnyType()
 
 
 def _unknown(path: str, name: str, known: list[str]) -> str:

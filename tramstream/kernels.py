@@ -2,9 +2,9 @@
 
 Every model hands in its transition as F = I + A with the few entries of A, and its measurements one
 scalar at a time with the few entries of its row of H; a vector with a diagonal R gives the same
-result taken row by row (Bar-Shalom et al., section 7.4). All functions work in place on arrays that
-the caller owns, keep P symmetric bit by bit, and are held to filterpy's dense `predict` and `update`
-by a test.
+result taken row by row (Bar-Shalom et al., section 7.4). All functions work in place on arrays
+that the caller owns, keep P symmetric bit by bit, and are held to filterpy's dense `predict` and
+`update` by a test.
 
 numba compiles them once a machine and keeps the result on disk, beside the module or, where that
 may not be written, in the user's cache folder: a filter that is built calls its kernels once, so
@@ -13,6 +13,7 @@ that no step on the vehicle waits for the compiler.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -129,3 +130,72 @@ def update_scalar(
     for i in range(n):
         K[i] *= inverse
     return S
+
+
+@compiled
+def update_pair(
+    x: Array,
+    P: Array,
+    columns: Indices,
+    values: Array,
+    count: int,
+    columns2: Indices,
+    values2: Array,
+    count2: int,
+    variance: float,
+    gate: float,
+    knee: float,
+    K: Array,
+    out: Array,
+) -> None:
+    """Take two scalars that belong together: both or none, gated by their joint y S⁻¹ yᵀ.
+
+    Between `knee` and `gate` the pair is weighted down: R grows until the distance is what a Huber
+    loss would make of it (√knee · distance instead of distance²).
+
+    Parameters
+    ----------
+    columns, values, count, columns2, values2, count2
+        The two rows of H; see `update_scalar`.
+    variance : float
+        R of each, without correlation.
+    knee, gate : float
+        Squared Mahalanobis distances.
+    out : ndarray, shape (≥ 2, 2)
+        Holds the innovations in its first column; gets, for the second given the first, the
+        innovation, and the variances in the second column; those are negative when refused.
+
+    References
+    ----------
+    C. D. Karlgaard, H. Schaub, "Huber-based divided difference filtering", Journal of Guidance,
+    Control, and Dynamics 30 (2007) 885-891: the weight.
+    """
+    n = x.shape[0]
+    for i in range(n):
+        K[i] = 0.0
+    for k in range(count):
+        for i in range(n):
+            K[i] += P[columns[k], i] * values[k]
+    first, cross, second = variance, 0.0, variance
+    for k in range(count):
+        first += values[k] * K[columns[k]]
+    for k in range(count2):
+        cross += values2[k] * K[columns2[k]]
+    for k in range(count2):
+        for j in range(count2):
+            second += values2[k] * P[columns2[k], columns2[j]] * values2[j]
+    a, b = out[0, 0], out[1, 0]
+    determinant = first * second - cross * cross
+    distance = (a * a * second - 2.0 * a * b * cross + b * b * first) / determinant
+    if not distance <= gate:
+        out[0, 1], out[1, 1] = -first, -second
+        return
+    if distance > knee:
+        variance += (math.sqrt(distance / knee) - 1.0) * 0.5 * (first + second)
+    out[0, 1] = update_scalar(x, P, columns, values, count, a, variance, math.inf, K)
+    # The second row sees what the first one has moved, to first order.
+    moved = 0.0
+    for k in range(count2):
+        moved += values2[k] * K[columns2[k]]
+    out[1, 0] = b - moved * a
+    out[1, 1] = update_scalar(x, P, columns2, values2, count2, out[1, 0], variance, math.inf, K)

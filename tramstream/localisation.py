@@ -6,7 +6,6 @@ models of this house, `tram` and `kaspar2023`, keep this contract, and so can an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -76,8 +75,8 @@ class Localiser(Protocol):
     def take(self, frame: SyncFrame) -> Estimate | None:
         """Go to the frame's stamp with all that is in it; None while nothing is known."""
 
-    def ahead(self, means: Sequence[ImuMean]) -> Estimate | None:
-        """Predict from the last frame through newer inertial means; changes nothing."""
+    def ahead(self, mean: ImuMean) -> Estimate | None:
+        """Predict from the last frame to a newer inertial mean; they come in order, all of them."""
 
     def learned(self) -> list[Learned]:
         """Biases, scales, offsets as they stand."""

@@ -86,8 +86,9 @@ class Processor(ABC):
 
     def emit(self, key: Key, message: Message, stamp_ns: int) -> Sample:
         """Number and stamp `message` as the next sample on `key`."""
-        sequence = self._next_sequence.get(key.path, 1)
-        self._next_sequence[key.path] = sequence + 1
+        path = key.path
+        sequence = self._next_sequence.get(path, 1)
+        self._next_sequence[path] = sequence + 1
         stamp(message, stamp_ns, sequence)
         return Sample(key, message, stamp_ns, sequence)
 
@@ -109,11 +110,11 @@ class Ordering(Protocol):
 
 def stamp(message: Any, stamp_ns: int, sequence: int) -> None:
     """Write stamp and sequence into a message of ours; Foxglove's own types have a timestamp."""
-    if message.DESCRIPTOR.file.package == "foxglove":
-        message.timestamp.FromNanoseconds(stamp_ns)
-    else:
+    try:
         message.stamp_ns = stamp_ns
         message.sequence = sequence
+    except AttributeError:  # cheaper than to look first, for what is nearly always there
+        message.timestamp.FromNanoseconds(stamp_ns)
 
 
 Factory = Callable[[Any], Processor]

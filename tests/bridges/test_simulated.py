@@ -30,9 +30,10 @@ from tramstream.bridges.simulated import (
     still,
 )
 from tramstream.clock import S
+from tramstream.inertial import ImuScales
 from tramstream.line import built_in_line
+from tramstream.odometry import Axle
 from tramstream.ride import Ride
-from tramstream.sensors import Axle, ImuScales
 
 START_NS = 1_790_000_000 * S + 123_456_789
 MINUTE_S = 60.0
@@ -97,13 +98,14 @@ def test_imu_frames_show_the_rides_specific_force_and_rate() -> None:
     time_s = np.arange(count) / 2000.0 / (1 + ImuDevice().skew)
     f_b, omega_b = riding(ride())(time_s)
     scales = ImuScales()
-    for counts, unit, truth, bias, density in (
-        (frames["accel"], scales.accel_mps2, f_b, 0.1, 0.00022563),
-        (frames["gyro"], scales.gyro_radps, omega_b, 0.0052359, 0.00011344),
+    for counts, unit, truth, bias, density, drift in (
+        (frames["accel"], scales.accel_mps2, f_b, 0.1, 0.00022563, 0.000035316),
+        (frames["gyro"], scales.gyro_radps, omega_b, 0.0052359, 0.00011344, 0.00007563 * 60**0.5),
     ):
         means = (counts * unit - truth)[: count // 2000 * 2000].reshape(-1, 2000, 3).mean(axis=1)
-        # The mean over a second deviates by N; rounding adds 1e-4 of a count.
-        np.testing.assert_allclose(means, bias, atol=5 * density)
+        # The mean over a second deviates by N, the bias by B, and by K·√t; rounding adds 1e-4 of a
+        # count.
+        np.testing.assert_allclose(means, bias, atol=5 * math.hypot(density, drift))
 
 
 def test_imu_stamps_run_on_the_devices_clock_and_wrap() -> None:
@@ -173,9 +175,10 @@ def test_pulses_on_the_bus_add_up_to_the_arc_length() -> None:
         assert wheels["COUNTER"] == (counter + 1) % 256
         counter = wheels["COUNTER"]
         assert decoded["DOORS"]["DOORS_OPEN"] == ride().doors_open(time_s)
-        acceleration = float(motion.acceleration_mps2)
         # Newton's law with 150 t, drag and rolling below 1 kN at these speeds, steps of 10 N
-        assert decoded["DRIVE"]["MOTOR_FORCE"] == pytest.approx(150e3 * acceleration, abs=1000)
+        uphill = float(motion.acceleration_mps2 - 9.80665 * np.sin(motion.pitch_rad))
+        moves = not motion.standing
+        assert decoded["DRIVE"]["MOTOR_FORCE"] == pytest.approx(150e3 * uphill * moves, abs=1000)
         assert chunk.due_ns == START_NS + round((time_s + CanDevice().delay_s) * S)
     assert travelled > 100
 

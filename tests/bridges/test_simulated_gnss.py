@@ -23,8 +23,8 @@ from tramstream.bridges.simulated import (
 from tramstream.bridges.simulated_gnss import GPS_MINUS_UNIX_S, GnssDevice, gnss_stream
 from tramstream.clock import S
 from tramstream.line import built_in_line
+from tramstream.receiver import GnssErrors
 from tramstream.ride import Ride
-from tramstream.sensors import GnssErrors
 
 START_NS = 1_790_000_000 * S + 123_456_789
 MINUTE_S = 60.0

@@ -89,6 +89,37 @@ def test_general_matrices_give_filterpys_result() -> None:
     assert ours.mahalanobis == pytest.approx(theirs.mahalanobis, rel=RELATIVE)
 
 
+@given(
+    x=st.tuples(numbers, numbers),
+    root=st.tuples(positive, numbers, positive),
+    dt_s=st.floats(1e-3, 60.0),
+    acceleration_std=positive,
+)
+def test_moving_is_predicting_to_the_same_bits(
+    x: tuple[float, float],
+    root: tuple[float, float, float],
+    dt_s: float,
+    acceleration_std: float,
+) -> None:
+    L = np.array([[root[0], 0.0], [root[1], root[2]]])
+    moved, predicted = (kalman1d.distance_filter(np.array(x), L @ L.T) for _ in range(2))
+    moved.move(dt_s, acceleration_std)
+    F, Q = kalman1d.transition(dt_s), kalman1d.acceleration_noise(dt_s, acceleration_std)
+    predicted.predict(F=F, Q=Q)
+    assert moved.state == predicted.state
+    assert moved.covariance == predicted.covariance
+    np.testing.assert_array_equal(moved.P_prior, predicted.P_prior)
+    assert moved.covariance == tuple(moved.P.ravel())
+
+
+def test_what_is_handed_out_cannot_be_written_to_unseen() -> None:
+    kalman = kalman1d.distance_filter(np.zeros(2), np.eye(2))
+    with pytest.raises(ValueError, match="read-only"):
+        kalman.P[0, 0] = 5.0
+    kalman.P = kalman.P * 5.0
+    np.testing.assert_array_equal(kalman.P, 5.0 * np.eye(2))
+
+
 def test_rare_calls_go_to_filterpy() -> None:
     ours = kalman1d.distance_filter(np.array([1.0, 2.0]), np.eye(2))
     theirs = dense(np.array([1.0, 2.0]), np.eye(2))

@@ -1,0 +1,165 @@
+"""`tramstream reproduce kaspar2023`: simulated rides through the filter of the work and ours."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from dataclasses import asdict
+from math import isfinite
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tramstream.cli.reproduce import Options
+from tramstream.cli.session import say, stop_on_signals
+from tramstream.processors import kaspar2023_study as study
+from tramstream.processors.kaspar2023_study import PUBLISHED, Case, Figures, Overall
+from tramstream.processors.models import MODELS
+
+NAME = study.WORK
+SEEDS = 5
+LOOK_S = 0.5
+"""How often a signal is looked for."""
+ALIKE = "correlated"
+"""Errors of the fixes as theory.md section 3 reads them."""
+
+
+def reproduce(options: Options) -> None:
+    """Simulate, filter, judge; what is done when a signal comes is printed."""
+    first = 1 if options.seed is None else options.seed
+    seeds = range(first, first + (options.seeds or SEEDS))
+    lines = options.lines or (study.BUILT_IN,)
+    for line in lines:
+        study.line_of(line)  # a line that cannot be used is told before the work begins
+    cases = [
+        Case(line, seed, wheels, white, options.duration_s)
+        for line in lines
+        for wheels, white in ((2, False), (1, False), (2, True))
+        for seed in seeds
+    ]
+    began_s = time.monotonic()
+    found = sorted(_rides(cases), key=lambda done: cases.index(done[0]))
+    figures = [each for _, rides in found for each in rides]
+    elapsed_s = time.monotonic() - began_s
+    if options.json:
+        print(json.dumps(_plain(figures, len(cases) - len(found), elapsed_s)))
+        return
+    console = Console()
+    for kind in dict.fromkeys(_kind(each) for each in figures):
+        _print(console, kind, [each for each in figures if _kind(each) == kind])
+    _explain(console, len(found), elapsed_s)
+
+
+def _rides(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Figures]]]:
+    """Rides as they are done, on all cores; after a signal no more."""
+    stop = stop_on_signals()
+    workers = min(os.cpu_count() or 1, len(cases))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_leave_signals) as pool:
+        waiting = {pool.submit(study.study, case, tuple(MODELS)): case for case in cases}
+        count = 0
+        while waiting:
+            done, _ = wait(waiting, LOOK_S, return_when="FIRST_COMPLETED")
+            for future in done:
+                case = waiting.pop(future)
+                count += 1
+                say(f"{count}/{len(cases)}: {_kind(case)}, seed {case.seed}")
+                yield case, future.result()
+            if stop.is_set():
+                _give_up(pool, waiting)
+                return
+
+
+def _leave_signals() -> None:
+    """Ctrl-C is for the parent alone."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _give_up(pool: ProcessPoolExecutor, waiting: dict[Future[Any], Case]) -> None:
+    """Drop what has not begun; what has is ended."""
+    say(f"stopped; {len(waiting)} rides are missing")
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()
+
+
+def _kind(case: Case | Figures | Overall) -> str:
+    wheels = "two wheels" if case.wheels == 2 else "one wheel"
+    return f"{case.line}, {wheels}, {'white' if case.white else ALIKE} GNSS errors"
+
+
+def _plain(figures: list[Figures], missing: int, elapsed_s: float) -> dict[str, Any]:
+    """Without NaN, which JSON does not have."""
+
+    def clean(values: dict[str, Any]) -> dict[str, Any]:
+        return {
+            name: None if isinstance(value, float) and not isfinite(value) else value
+            for name, value in values.items()
+        }
+
+    return {
+        "work": NAME,
+        "published": PUBLISHED,
+        "overall": [clean(asdict(each)) for each in study.overall(figures)],
+        "rides": [clean({**each._asdict(), "consistent": each.consistent}) for each in figures],
+        "missing_rides": missing,
+        "elapsed_s": elapsed_s,
+    }
+
+
+def _print(console: Console, kind: str, figures: list[Figures]) -> None:
+    table = Table(title=f"{NAME}: {kind}", box=None, pad_edge=False, collapse_padding=True)
+    table.add_column("model", no_wrap=True)
+    columns = ("seed", "P90 m", "along", "across", "speed σ", "yaw °", "NEES", "beyond PL %", "µs")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    for total in study.overall(figures):
+        rides = [each for each in figures if each.model == total.model]
+        if rides[0] is figures[0]:
+            for ride in rides:
+                table.add_row("raw GNSS", str(ride.seed), f"{ride.gnss_p90_m:.3f}")
+            table.add_row("raw GNSS", "all", f"{total.gnss_p90_m:.3f}")
+        for ride in rides:
+            verdict = "ok" if ride.consistent else "no"
+            table.add_row(ride.model, str(ride.seed), *_numbers(ride, verdict))
+        verdict = f"{total.consistent_rides}/{total.rides}"
+        table.add_row(total.model, "all", *_numbers(total, verdict))
+    console.print(table, "")
+
+
+def _numbers(each: Figures | Overall, verdict: str) -> list[str]:
+    shares = (each.exceeded_along_share, each.exceeded_across_share)
+    return [
+        f"{each.position_p90_m:.3f}",
+        f"{each.along_rms_m:.3f}",
+        f"{each.across_rms_m:.3f}",
+        f"{each.speed_std_mps:.4f}",
+        f"{each.yaw_rms_deg:.2f}",
+        f"{each.nees:.1f} {verdict}",
+        " ".join("–" if share is None else f"{100 * share:.2f}" for share in shares),
+        f"{each.step_us:.0f}",
+    ]
+
+
+def _explain(console: Console, rides: int, elapsed_s: float) -> None:
+    p90, mapped, speed, step = (
+        PUBLISHED[name]
+        for name in ("position_p90_m", "position_p90_map_m", "speed_std_mps", "step_us")
+    )
+    console.print(
+        f"Published: P90 {p90} m without the map, {mapped} m with it; speed σ {speed} m/s; "
+        f"{step:.0f} µs a\nstep (93 s for 400,000 steps). {rides} rides in {elapsed_s:.0f} s.\n"
+        "P90: of the horizontal error; along, across, yaw: RMS; NEES of the position: 2 is\n"
+        "right, ok: within 95 %; beyond PL: time that the error is beyond the protection level,\n"
+        "along and across; µs: one step of the model, here. correlated: the errors of the fixes\n"
+        "keep 0.95 of themselves in a second; white: nothing, as the filter of the work expects.",
+        soft_wrap=True,
+    )

@@ -1,0 +1,86 @@
+"""Heading out of motion: which way did the vehicle face when it left?
+
+Between two fixes the vehicle has moved along its heading, whatever its speed. The displacements,
+each turned back by what the vertical gyroscope has turned since the departure, all point the same
+way: their sum's direction is the heading at the departure, and its length the way that the answer
+rests on. Running backwards gives the opposite; that is for others to tell.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+LEAST_WAY_M = 3.0
+ENOUGH_RAD = 0.1
+"""How well the heading must be known; the filter does the rest."""
+WHITE_SHARE = 0.1
+"""Of a fix's error that neighbours do not share."""
+
+
+class Alignment:
+    """Sums displacements; one per departure."""
+
+    def __init__(self, tau_s: float) -> None:
+        self._tau_s = tau_s
+        self._sum = 0j
+        self._fix: tuple[float, float, float, float] | None = None  # time, east, north, turned
+        self._first_s = 0.0
+        self._std_m = 0.0
+
+    def take(self, time_s: float, east_m: float, north_m: float, turned: float, std: float) -> None:
+        """Take a fix.
+
+        Parameters
+        ----------
+        time_s : float
+            Since the departure.
+        turned : float
+            By the vertical gyroscope since the departure, rad.
+        std : float
+            Of the fix, each axis, m.
+        """
+        if self._fix is None:
+            self._first_s = time_s
+        else:
+            _, east, north, before = self._fix
+            way = complex(east_m - east, north_m - north)
+            self._sum += way * cmath.exp(-0.5j * (before + turned))
+        self._fix = (time_s, east_m, north_m, turned)
+        self._std_m = max(self._std_m, std)
+
+    @property
+    def way_m(self) -> float:
+        """The way that the answer rests on."""
+        return abs(self._sum)
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of motion at the departure, counter-clockwise from east."""
+        return cmath.phase(self._sum)
+
+    @property
+    def yaw_std_rad(self) -> float:
+        """Deviation of `yaw_rad`; infinite without a way."""
+        if self._fix is None or self.way_m < LEAST_WAY_M:
+            return math.inf
+        apart = 1.0 - math.exp(-(self._fix[0] - self._first_s) / self._tau_s)
+        return self._std_m * math.sqrt(2.0 * (apart + WHITE_SHARE)) / self.way_m
+
+    @property
+    def ready(self) -> bool:
+        return self.yaw_std_rad < ENOUGH_RAD
+
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "sum": [self._sum.real, self._sum.imag],
+            "fix": None if self._fix is None else list(self._fix),
+            "first_s": self._first_s,
+            "std_m": self._std_m,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._sum = complex(*state["sum"])
+        self._fix = None if state["fix"] is None else tuple(state["fix"])
+        self._first_s, self._std_m = state["first_s"], state["std_m"]

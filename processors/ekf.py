@@ -1,0 +1,205 @@
+"""The localisation filter as a processor: frames and inertial means in, states out.
+
+At the fusion horizon `est/ekf/state` is the filter with everything in it; `est/ekf/now` is the same
+carried on to the newest inertial mean, a few milliseconds old, for whoever cannot wait. Which model
+does the work is `ekf.model`; this module owns messages, numbering, protection levels and what is
+said in health.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from tramstream import keys
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.localisation import Estimate, Localiser, Mode
+from tramstream.place import Places
+from tramstream.processor import Processor, Sample, State
+from tramstream.processors.models import localiser
+from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
+
+LOCATION_EVERY = 10
+"""Of the states for now: viewers draw maps at 10 Hz."""
+REPEAT_S = 10.0
+"""The same sentence is said again only after so long."""
+MARGIN = 1.25
+"""Protection levels over the quantile of the normal distribution: the filter's own covariance has
+an error, and errors of GNSS have heavier tails."""
+SIZE = 7
+_UPPER = np.flatnonzero(np.triu(np.ones((SIZE, SIZE))))
+LOG = keys.LOG.at("ekf")
+
+
+class LocalisationFilter(Processor):
+    """States of the vehicle from `sync/fusion/frame` and `sync/imu/mean`."""
+
+    name = "ekf"
+    inputs = (keys.SYNC_IMU, keys.SYNC_FRAME)
+    outputs = (keys.EST_STATE, keys.EST_NOW, keys.EST_LOCATION, keys.EST_PARAMETERS, LOG)
+    pacing = (keys.SYNC_IMU, keys.SYNC_FRAME)
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        self._vehicle = vehicle
+        # The risk is shared by along and across, and each has two sides.
+        risk = vehicle.ekf.integrity_risk
+        self._quantile = MARGIN * NormalDist().inv_cdf(1.0 - risk / 4.0)
+        self.localiser: Localiser = localiser(vehicle)
+        self._places: Places | None = None
+        self._second = 0
+        self._said: dict[str, int] = {}
+        self._now_count = 0
+
+    def step(self, sample: Sample) -> list[Sample]:
+        if sample.key is keys.SYNC_FRAME:
+            return self._take(sample)
+        estimate = self.localiser.ahead(sample.message)
+        if estimate is None or not _finite(estimate):
+            return []
+        message = self._message(estimate)
+        made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
+        if self._now_count % LOCATION_EVERY == 0:
+            made.append(self.emit(keys.EST_LOCATION, _location(message), estimate.stamp_ns))
+        self._now_count += 1
+        return made
+
+    def _take(self, sample: Sample) -> list[Sample]:
+        estimate = self.localiser.take(sample.message)
+        made = []
+        if estimate is not None:
+            if _finite(estimate):
+                made.append(self.emit(keys.EST_STATE, self._message(estimate), estimate.stamp_ns))
+            else:
+                made += self._start_again(sample.stamp_ns)
+        if sample.stamp_ns // S != self._second:
+            self._second = sample.stamp_ns // S
+            made += self._learned(sample.stamp_ns)
+        for sentence in self.localiser.complaints():
+            made += self._say(sentence, sample.stamp_ns)
+        return made
+
+    def _start_again(self, stamp_ns: int) -> list[Sample]:
+        """Nothing that is no number is ever published; the filter begins anew."""
+        self.localiser = localiser(self._vehicle)
+        self._places = None
+        return self._say("the filter's state was no number; it starts again", stamp_ns)
+
+    def _learned(self, stamp_ns: int) -> list[Sample]:
+        learned = self.localiser.learned()
+        if not learned:
+            return []
+        message = FilterParameters(
+            model=self.localiser.name,
+            parameters=[
+                Parameter(name=each.name, value=each.value, std=each.std, unit=each.unit)
+                for each in learned
+            ],
+        )
+        return [self.emit(keys.EST_PARAMETERS, message, stamp_ns)]
+
+    def _say(self, sentence: str, stamp_ns: int) -> list[Sample]:
+        last_ns = self._said.get(sentence)
+        if last_ns is not None and stamp_ns - last_ns < REPEAT_S * S:
+            return []
+        self._said[sentence] = stamp_ns
+        self._said = {text: ns for text, ns in self._said.items() if stamp_ns - ns < REPEAT_S * S}
+        log = Log(level=Log.Level.WARNING, message=sentence, name=self.name)
+        return [self.emit(LOG, log, stamp_ns)]
+
+    def _message(self, estimate: Estimate) -> MotionState:
+        level = self.localiser.level
+        assert level is not None  # there is an estimate
+        if self._places is None or self._places.level is not level:
+            self._places = Places(level)
+        place = self._places.at(*estimate.p_l)
+        cos, sin = math.cos(estimate.yaw_rad), math.sin(estimate.yaw_rad)
+        P = estimate.covariance
+        (ee, en, uu), (nn, vv, yy) = P[_FIRST].tolist(), P[_SECOND].tolist()
+        if estimate.mode == Mode.HEADING_UNKNOWN:
+            along = across = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+        else:
+            along = cos * cos * ee + 2.0 * cos * sin * en + sin * sin * nn
+            across = sin * sin * ee - 2.0 * cos * sin * en + cos * cos * nn
+        along_std, across_std = math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0))
+        lean = place.east_tilt_rad * cos + place.north_tilt_rad * sin
+        bank = place.north_tilt_rad * cos - place.east_tilt_rad * sin
+        return MotionState(
+            mode=estimate.mode,
+            latitude_deg=place.latitude_deg,
+            longitude_deg=place.longitude_deg,
+            height_ellipsoid_m=place.height_m,
+            speed_mps=estimate.speed_mps,
+            acceleration_mps2=estimate.acceleration_mps2,
+            roll_rad=estimate.roll_rad + bank,
+            pitch_rad=estimate.pitch_rad - lean,
+            yaw_rad=math.remainder(estimate.yaw_rad - place.convergence_rad, math.tau),
+            yaw_rate_radps=estimate.yaw_rate_radps,
+            standing=estimate.standing,
+            along_std_m=along_std,
+            across_std_m=across_std,
+            up_std_m=math.sqrt(max(uu, 0.0)),
+            speed_std_mps=math.sqrt(max(vv, 0.0)),
+            yaw_std_rad=math.sqrt(max(yy, 0.0)),
+            protection_along_m=self._quantile * along_std,
+            protection_across_m=self._quantile * across_std,
+            covariance=P.ravel()[_UPPER].tolist(),
+            innovations=[
+                Innovation(measurement=name, value=value, variance=variance, accepted=accepted)
+                for name, value, variance, accepted in estimate.verdicts
+            ],
+        )
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> State:
+        return {
+            "sequences": self.sequences(),
+            "localiser": self.localiser.snapshot(),
+            "second": self._second,
+            "said": dict(self._said),
+            "now_count": self._now_count,
+            "places": None if self._places is None else self._places.snapshot(),
+        }
+
+    def restore(self, state: State) -> None:
+        self.restore_sequences(state["sequences"])
+        self.localiser.restore(state["localiser"])
+        self._second, self._said = state["second"], dict(state["said"])
+        self._now_count = state["now_count"]
+        self._places = None
+        level = self.localiser.level
+        if state["places"] is not None and level is not None:
+            self._places = Places(level)
+            self._places.restore(state["places"])
+
+
+_FIRST = np.array([0, 0, 2]), np.array([0, 1, 2])
+_SECOND = np.array([1, 3, 6]), np.array([1, 3, 6])
+
+
+def _finite(estimate: Estimate) -> bool:
+    """Whether everything is a number and no variance is negative."""
+    east, north, up = estimate.p_l
+    total = east + north + up + estimate.speed_mps + estimate.yaw_rad + estimate.pitch_rad
+    trace = estimate.covariance.diagonal()
+    return math.isfinite(total + estimate.roll_rad) and bool(
+        math.isfinite(float(estimate.covariance.sum())) and float(trace.min()) >= 0.0
+    )
+
+
+def _location(state: MotionState) -> LocationFix:
+    """Give a state as viewers know it; covariance of east, north and up."""
+    (ee, en, eu, _, _, _, _, nn, nu, _, _, _, _, uu) = state.covariance[:14]
+    return LocationFix(
+        frame_id="vehicle",
+        latitude=state.latitude_deg,
+        longitude=state.longitude_deg,
+        altitude=state.height_ellipsoid_m,
+        position_covariance=(ee, en, eu, en, nn, nu, eu, nu, uu),
+        position_covariance_type=LocationFix.PositionCovarianceType.KNOWN,
+    )

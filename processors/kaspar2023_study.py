@@ -1,0 +1,335 @@
+"""The simulated ride of kaspar2023 through localisation filters: the figures of the work.
+
+A ride is simulated in memory, goes through the resampler, and each frame of it to every model. What
+the models say is held to the truth twenty times a second. The work does not say how the errors of
+its fixes hang together; so besides our reading (0.95 per second, theory.md section 3) there are
+rides with white errors of the same size.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from tramstream import consistency, evaluation, keys, line_geojson, scenario
+from tramstream.clock import S
+from tramstream.consistency import NEES_SLOTS, Protection
+from tramstream.evaluation import MotionErrors
+from tramstream.geodesy import LocalLevel
+from tramstream.line import Line, built_in_line
+from tramstream.localisation import Estimate, Localiser
+from tramstream.processors.models import MODELS
+from tramstream.processors.resampler import Resampler
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.scenario import SIDES
+from tramstream.series import (
+    Array,
+    FixSeries,
+    Innovations,
+    Instants,
+    Slot,
+    StateSeries,
+    TruthSeries,
+    wrapped_rad,
+)
+from tramstream.simulation import Simulation
+
+BUILT_IN = "built-in"
+WORK = "kaspar2023"
+EVERY = 5
+"""Judged frames: at 20 Hz no error changes between one and the next."""
+PROGRESS_FRAMES = 20_000
+
+PUBLISHED = {
+    "position_p90_map_m": 0.45,
+    "position_p90_m": 0.55,
+    "speed_std_mps": 0.018,
+    "step_us": 93.0 / 400_000 * 1e6,
+}
+"""Of the work: with and without map; 93 s for 400,000 steps without."""
+
+
+class Case(NamedTuple):
+    """One ride; plain values, so that it can go to another process."""
+
+    line: str = BUILT_IN
+    """`built-in`, or FILE.geojson#LINE/DIRECTION."""
+    seed: int = 1
+    wheels: int = 2
+    white: bool = False
+    """Whether the errors of one fix have nothing to do with those of the next."""
+    duration_s: float | None = None
+
+
+class Figures(NamedTuple):
+    """One model on one ride; NaN and None where there is nothing to say."""
+
+    model: str
+    line: str
+    seed: int
+    wheels: int
+    white: bool
+    steps: int
+    step_us: float
+    """Processor time of the model alone, this machine."""
+    gnss_p90_m: float
+    """Horizontal, raw fixes."""
+    position_p90_m: float
+    along_rms_m: float
+    across_rms_m: float
+    speed_std_mps: float
+    speed_mean_mps: float
+    yaw_rms_deg: float
+    nees: float
+    """Of the position: 2 in the mean where the covariance is right."""
+    nees_low: float
+    nees_high: float
+    exceeded_along_share: float | None
+    """Of the time that the true error is beyond the protection level."""
+    exceeded_across_share: float | None
+
+    @property
+    def consistent(self) -> bool:
+        return self.nees_low <= self.nees <= self.nees_high
+
+
+def line_of(source: str) -> Line:
+    """Lay the built-in line or one from a map."""
+    return built_in_line() if source == BUILT_IN else line_geojson.load(source)
+
+
+def simulation_of(case: Case) -> Simulation:
+    """Set up the ride."""
+    chosen = scenario.load(WORK)
+    gnss, wheels = chosen.gnss, chosen.wheels
+    assert gnss is not None
+    assert wheels is not None
+    if case.wheels == 1:
+        chosen = replace(chosen, wheels=replace(wheels, wheels=SIDES[:1]))
+    if case.white:
+        chosen = replace(chosen, gnss=replace(gnss, errors=replace(gnss.errors, decay=0.0)))
+    return Simulation(line_of(case.line), chosen, case.seed, case.duration_s)
+
+
+def study(
+    case: Case, models: Sequence[str], progress: Callable[[float], None] | None = None
+) -> list[Figures]:
+    """Run one ride through every model.
+
+    Parameters
+    ----------
+    case : Case
+    models : sequence of str
+        Names of `processors.models.MODELS`.
+    progress : callable, optional
+        Is told the share of the ride that is done.
+    """
+    simulation = simulation_of(case)
+    runs = [_Run(MODELS[name](simulation.vehicle)) for name in models]
+    fixes: list[GnssFix] = []
+    first_ns = 0
+    for number, frame in enumerate(_frames(simulation, fixes)):
+        for run in runs:
+            run.take(frame, number % EVERY == 0)
+        first_ns = first_ns or frame.stamp_ns
+        if progress is not None and number % PROGRESS_FRAMES == 0:
+            progress((frame.stamp_ns - first_ns) / S / simulation.duration_s)
+    raw = _fix_errors(simulation, fixes)
+    return [_figures(case, simulation, run, raw) for run in runs]
+
+
+def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[SyncFrame]:
+    """Frames of the ride; its fixes are appended on the way."""
+    resampler = Resampler(simulation.vehicle)
+    for sample in simulation.samples():
+        if sample.key not in resampler.inputs:
+            continue
+        if sample.key is keys.GNSS_FIX:
+            fixes.append(sample.message)
+        for released in resampler.step(sample):
+            if released.key is keys.SYNC_FRAME:
+                yield released.message
+
+
+class _Run:
+    """A model on its way: what it said, in flat columns, and the time that it took."""
+
+    def __init__(self, model: Localiser) -> None:
+        self.model = model
+        self.steps = 0
+        self.elapsed_s = 0.0
+        self.stamp_ns = array("q")
+        self.numbers = array("d")
+        self.covariance = array("d")
+
+    def take(self, frame: SyncFrame, judged: bool) -> None:
+        begin_s = time.thread_time()
+        estimate = self.model.take(frame)
+        self.elapsed_s += time.thread_time() - begin_s
+        self.steps += 1
+        if estimate is not None and judged:
+            self._keep(estimate)
+
+    def _keep(self, estimate: Estimate) -> None:
+        self.stamp_ns.append(estimate.stamp_ns)
+        self.numbers.extend(estimate.p_l)
+        self.numbers.extend((estimate.roll_rad, estimate.pitch_rad, estimate.yaw_rad))
+        self.numbers.extend((estimate.speed_mps, estimate.acceleration_mps2))
+        self.numbers.extend((estimate.yaw_rate_radps, estimate.mode, estimate.standing))
+        self.covariance.extend(estimate.covariance.ravel().tolist())
+
+    def states(self, level: LocalLevel) -> StateSeries:
+        """Columns with positions in the frame of the truth; its axes differ by microradians."""
+        columns = np.frombuffer(self.numbers).reshape(len(self.stamp_ns), -1)
+        own = self.model.level
+        geodetic = own.to_geodetic(columns[:, :3]) if own else np.empty((0, 3))
+        return StateSeries(
+            stamp_ns=np.frombuffer(self.stamp_ns, dtype=np.int64),
+            geodetic=geodetic,
+            p_l=level.from_geodetic(geodetic),
+            speed_mps=columns[:, 6],
+            acceleration_mps2=columns[:, 7],
+            attitude_rad=columns[:, 3:6],
+            yaw_rate_radps=columns[:, 8],
+            covariance=np.frombuffer(self.covariance).reshape(-1, len(Slot), len(Slot)),
+            mode=columns[:, 9].astype(np.int64),
+            standing=columns[:, 10] != 0.0,
+            protection_m=np.full((len(columns), 2), np.nan),
+            innovations=_NO_INNOVATIONS,
+        )
+
+
+_NO_INNOVATIONS = Innovations(
+    stamp_ns=np.empty(0, dtype=np.int64),
+    names=(),
+    which=np.empty(0, dtype=np.int64),
+    value=np.empty(0),
+    variance=np.empty(0),
+    accepted=np.empty(0, dtype=np.bool_),
+)
+
+
+def _truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
+    truth = simulation.truth(stamp_ns)
+    motion = truth.motion
+    attitude = np.stack([motion.roll_rad, motion.pitch_rad, motion.yaw_rad], axis=1)
+    unknown = np.full(len(stamp_ns), np.nan)
+    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, wrapped_rad(attitude), unknown)
+
+
+def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
+    rows = [(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m) for fix in fixes]
+    geodetic = np.array(rows) * (np.pi / 180.0, np.pi / 180.0, 1.0)
+    stamp_ns = np.array([fix.stamp_ns for fix in fixes])
+    unknown = np.full(len(fixes), np.nan)
+    series = FixSeries(
+        stamp_ns=stamp_ns,
+        valid=np.array([fix.valid for fix in fixes]),
+        p_l=simulation.line.level.from_geodetic(geodetic),
+        speed_mps=unknown,
+        course_yaw_rad=unknown,
+    )
+    gnss = simulation.vehicle.gnss
+    assert gnss is not None
+    return evaluation.fix_errors(series, _truth_at(simulation, stamp_ns), gnss.lever_arm_m)
+
+
+def _figures(case: Case, simulation: Simulation, run: _Run, raw: MotionErrors) -> Figures:
+    states = run.states(simulation.line.level)
+    errors = evaluation.errors(states, _truth_at(simulation, states.stamp_ns))
+    nees = consistency.nees(errors, NEES_SLOTS["position"])
+    protection: Protection | None = consistency.protection(errors)
+    exceeded = protection.exceeded_share if protection else (None, None)
+
+    def figure(error: Array, name: str) -> float:
+        found = evaluation.statistics(error, errors.stamp_ns, 0)
+        return float(getattr(found, name)) if found else float("nan")
+
+    return Figures(
+        model=run.model.name,
+        line=case.line,
+        seed=case.seed,
+        wheels=case.wheels,
+        white=case.white,
+        steps=run.steps,
+        step_us=run.elapsed_s / max(run.steps, 1) * 1e6,
+        gnss_p90_m=float(np.percentile(raw.horizontal_m, 90)),
+        position_p90_m=figure(errors.horizontal_m, "p90"),
+        along_rms_m=figure(errors.along_m, "rms"),
+        across_rms_m=figure(errors.across_m, "rms"),
+        speed_std_mps=figure(errors.speed_mps, "std"),
+        speed_mean_mps=figure(errors.speed_mps, "mean"),
+        yaw_rms_deg=float(np.degrees(figure(errors.yaw_rad, "rms"))),
+        nees=nees.mean if nees else float("nan"),
+        nees_low=nees.bounds.low if nees else float("nan"),
+        nees_high=nees.bounds.high if nees else float("nan"),
+        exceeded_along_share=exceeded[0],
+        exceeded_across_share=exceeded[1],
+    )
+
+
+@dataclass(frozen=True)
+class Overall:
+    """One model on all seeds of one kind of ride: means over the rides, mean squares for RMS."""
+
+    model: str
+    line: str
+    wheels: int
+    white: bool
+    rides: int
+    step_us: float
+    gnss_p90_m: float
+    position_p90_m: float
+    along_rms_m: float
+    across_rms_m: float
+    speed_std_mps: float
+    yaw_rms_deg: float
+    nees: float
+    consistent_rides: int
+    exceeded_along_share: float | None
+    exceeded_across_share: float | None
+
+
+_SQUARED = ("along_rms_m", "across_rms_m", "speed_std_mps", "yaw_rms_deg")
+
+
+def overall(figures: Sequence[Figures]) -> list[Overall]:
+    """Sum up the seeds, in the order in which the kinds of rides come."""
+    kinds: dict[tuple[str, str, int, bool], list[Figures]] = {}
+    for each in figures:
+        kinds.setdefault((each.model, each.line, each.wheels, each.white), []).append(each)
+    return [_overall(rides) for rides in kinds.values()]
+
+
+def _overall(rides: list[Figures]) -> Overall:
+    def mean(name: str) -> float:
+        values = np.array([getattr(each, name) for each in rides], dtype=float)
+        return float(np.sqrt(np.mean(values**2)) if name in _SQUARED else values.mean())
+
+    first = rides[0]
+    known = first.exceeded_along_share is not None
+    return Overall(
+        model=first.model,
+        line=first.line,
+        wheels=first.wheels,
+        white=first.white,
+        rides=len(rides),
+        step_us=mean("step_us"),
+        gnss_p90_m=mean("gnss_p90_m"),
+        position_p90_m=mean("position_p90_m"),
+        along_rms_m=mean("along_rms_m"),
+        across_rms_m=mean("across_rms_m"),
+        speed_std_mps=mean("speed_std_mps"),
+        yaw_rms_deg=mean("yaw_rms_deg"),
+        nees=mean("nees"),
+        consistent_rides=sum(each.consistent for each in rides),
+        exceeded_along_share=mean("exceeded_along_share") if known else None,
+        exceeded_across_share=mean("exceeded_across_share") if known else None,
+    )

@@ -1,0 +1,160 @@
+"""Does the vehicle stand? Wheels say so; the inertial sensor must agree, or says it alone.
+
+Idling is not motion: an engine, a fan or a compressor shakes the case with degrees a second, yet
+the vehicle stands. So nothing here asks for quiet in itself. Where wheels are read, it stands when
+they have not turned for a while, unless the filter knows of a speed that a sliding wheel would
+hide. Without wheels, the shaking is compared with what it was while the vehicle surely stood and surely
+ran, by GNSS speed; until both are known, or when they do not differ, only a speed estimate near
+zero with a steady heading counts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tramstream.clock import S
+from tramstream.kernels import Array, compiled
+
+WHEELS_STILL_S = 0.6
+"""Wheels that have not turned for so long stand; 30 readings at 50 Hz."""
+LOCKED_MPS = 0.5
+"""Above this estimated speed, wheels that do not turn slide..."""
+LOCKED_S = 8.0
+"""... but not for so long."""
+STILL_S = 0.8
+"""The inertial sensor alone must agree for so long."""
+CREEP_MPS = 0.3
+"""Estimated speed that may be standing, without wheels."""
+STEADY_RADPS = 0.01
+"""Mean yaw rate of a vehicle that stands."""
+SMOOTHING_S = 0.5
+LEARNING_S = 20.0
+SEPARATION = 2.0
+"""The shaking must differ by this factor between running and standing to be of use."""
+RUNNING_MPS = 2.0
+GNSS_AGE_S = 2.5
+
+
+@compiled
+def smooth(statistics: Array, u: Array, weight: float) -> None:
+    """Follow mean and variance of a reading: rows of `statistics`, shape (2, 6)."""
+    for k in range(6):
+        before = u[k] - statistics[0, k]
+        statistics[0, k] += weight * before
+        statistics[1, k] += weight * (before * (u[k] - statistics[0, k]) - statistics[1, k])
+
+
+class Standstill:
+    """Decides frame by frame; `noise` gives what the readings scatter by while standing."""
+
+    def __init__(self) -> None:
+        self.standing = False
+        self.since_ns = 0
+        """Start of the present state."""
+        self._statistics = np.zeros((2, 6))
+        self._started = False
+        self._wheel_ns = 0  # last reading of the wheels
+        self._turned_ns = 0  # last reading with a turn
+        self._quiet_ns = 0  # since when the inertial sensor agrees
+        self._gnss_mps = math.inf
+        self._gnss_ns = 0
+        self._still_level = 0.0  # log of the shaking while standing, while running; 0: not known
+        self._running_level = 0.0
+
+    @property
+    def noise(self) -> Array:
+        """Variance of rates and specific forces in the last moments, shape (6,)."""
+        return self._statistics[1]
+
+    @property
+    def mean(self) -> Array:
+        """Mean of rates and specific forces in the last moments, shape (6,)."""
+        return self._statistics[0]
+
+    @property
+    def speed_over_ground_mps(self) -> float:
+        """Last speed that GNSS measured; 0 if it never has."""
+        return self._gnss_mps if math.isfinite(self._gnss_mps) else 0.0
+
+    def wheels(self, stamp_ns: int, turned: bool) -> None:
+        """Take a reading of the wheels."""
+        if turned or self._wheel_ns == 0:
+            self._turned_ns = stamp_ns
+        self._wheel_ns = stamp_ns
+
+    def speed_over_ground(self, stamp_ns: int, speed_mps: float) -> None:
+        """Take a speed that GNSS measured."""
+        self._gnss_mps, self._gnss_ns = speed_mps, stamp_ns
+
+    def step(
+        self, stamp_ns: int, u: Array | None, dt_s: float, speed_mps: float, bias_z: float
+    ) -> bool:
+        """Decide for the instant `stamp_ns`.
+
+        Parameters
+        ----------
+        u : ndarray, shape (≥ 6,), or None
+            Rates and specific forces; None without an inertial sensor.
+        speed_mps : float
+            As the filter knows it; NaN if it does not.
+        bias_z : float
+            Of the vertical gyroscope.
+        """
+        if u is not None:
+            self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
+        if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
+            standing = self._by_wheels(stamp_ns, speed_mps)
+        else:
+            standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
+        if standing != self.standing:
+            self.standing, self.since_ns = standing, stamp_ns
+        return standing
+
+    def _by_wheels(self, stamp_ns: int, speed_mps: float) -> bool:
+        still_s = (stamp_ns - self._turned_ns) / S
+        if still_s < WHEELS_STILL_S:
+            return False
+        return not abs(speed_mps) > LOCKED_MPS or still_s > LOCKED_S  # NaN: not known, so it stands
+
+    def _follow(
+        self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
+    ) -> None:
+        if not self._started:
+            self._statistics[0] = u[:6]
+            self._started, self._quiet_ns = True, stamp_ns
+        smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
+        (_, _, rate, _, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
+        level = 0.5 * math.log(x + y + z + 1e-12)
+        known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
+        slow = self._gnss_mps if known else abs(speed_mps)
+        weight = dt_s / LEARNING_S
+        if known and self._gnss_mps > RUNNING_MPS:
+            self._running_level = _blend(self._running_level, level, weight)
+        if self.standing and slow < CREEP_MPS:
+            self._still_level = _blend(self._still_level, level, weight)
+        if not self._quiet(level, rate - bias_z, slow):
+            self._quiet_ns = stamp_ns
+
+    def _quiet(self, level: float, rate: float, slow: float) -> bool:
+        """Whether the inertial sensor could be that of a vehicle that stands."""
+        if abs(rate) > STEADY_RADPS:
+            return False
+        still, running = self._still_level, self._running_level
+        if still and running and running - still > math.log(SEPARATION):
+            return level < 0.5 * (still + running) and not slow > RUNNING_MPS
+        return slow < CREEP_MPS
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {name: np.copy(v) if name == "_statistics" else v for name, v in vars(self).items()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, np.array(value) if name == "_statistics" else value)
+
+
+def _blend(before: float, value: float, weight: float) -> float:
+    return value + (before - value) * (1.0 - weight) if before else value

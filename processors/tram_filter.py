@@ -1,0 +1,237 @@
+"""The model `tram` as a filterpy filter: same attributes, compiled predict and update.
+
+A filterpy user finds x, P, y, S, K, log_likelihood where they always are. `predict` and `update`
+are the general calls; what the vehicle's sensors measure has methods of its own, which cost about
+a microsecond each and report every innovation as a `Verdict`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from tramstream.config import Vehicle
+from tramstream.kernels import Array, update_scalar
+from tramstream.localisation import Verdict
+from tramstream.processors import tram_kernels as kernels
+from tramstream.processors import tram_measurements as measurements
+from tramstream.processors.tram_states import PARAMETERS, SIZE, Ix, Pm
+
+EARTH_RADIUS_M = 6_371_000.0
+PAIR_GATE = 30.0
+"""Squared distance of a fix or a velocity that is refused: 3e-7 of honest ones."""
+PAIR_KNEE = 9.0
+"""From here on it is weighted down: 1 % of honest ones."""
+SCALAR_GATE = 25.0
+"""The same for scalars: 5 σ."""
+LATERAL_STD_MPS2 = 0.02
+"""Sway of the body that the model does not know, a reading of 10 ms."""
+STANDING_STD_MPS = 0.002
+QUANTISATION = 1.0 / 3.0
+"""Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (theory.md 2)."""
+READING_S = 0.01
+"""What one inertial mean of the fusion horizon lasts."""
+LOG_2PI = math.log(2.0 * math.pi)
+
+_COLUMNS = np.arange(SIZE)
+
+
+def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
+    """Constants of the model out of a vehicle's configuration; see `tram_states.Pm`."""
+    c = np.zeros(PARAMETERS)
+    c[Pm.GRAVITY] = gravity_mps2
+    c[Pm.CURVATURE] = 1.0 / EARTH_RADIUS_M
+    wheels = vehicle.wheels
+    c[Pm.OFFSET_A], c[Pm.OFFSET_B] = wheels.track_m / 2, -wheels.track_m / 2
+    c[Pm.SIGN_A] = c[Pm.SIGN_B] = 1.0
+    c[Pm.SLIP_DENSITY] = vehicle.ekf.wheel_creep_m_rtm**2
+    if vehicle.gnss is not None:
+        c[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = vehicle.gnss.lever_arm_m
+    imu = vehicle.imu
+    c[Pm.LATERAL_VARIANCE] = LATERAL_STD_MPS2**2
+    c[Pm.STANDING_VARIANCE] = STANDING_STD_MPS**2
+    if imu is None:
+        c[Pm.ACCEL_DENSITY] = vehicle.ekf.acceleration_std_mps2_rthz**2
+        c[Pm.ROLL_DENSITY] = c[Pm.PITCH_DENSITY] = vehicle.ekf.tilt_std_rad_rts**2
+        return c
+    c[Pm.IMU_X : Pm.IMU_Z + 1] = imu.lever_arm_m
+    c[Pm.ACCEL_DENSITY] = imu.accel_noise_mps2_rthz**2 + vehicle.ekf.force_std_mps2_rthz**2
+    c[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1] = imu.gyro_noise_radps_rthz**2
+    c[Pm.READING_VARIANCE] = imu.gyro_noise_radps_rthz**2 / READING_S
+    c[Pm.GYRO_WALK] = imu.gyro_walk_radps2_rthz**2
+    c[Pm.ACCEL_WALK] = imu.accel_walk_mps3_rthz**2
+    return c
+
+
+class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+    """x (24, 1) and P (24, 24) of the model `tram`, in one block of memory.
+
+    Parameters
+    ----------
+    c : ndarray, shape (PARAMETERS,)
+        The model's constants; the filter reads them at every step, so that they may change.
+    """
+
+    def __init__(self, c: Array) -> None:
+        self.memory = np.zeros(kernels.MEMORY)
+        self._x = self.memory[kernels.STATE].reshape(SIZE, 1)
+        self._P = self.memory[kernels.COVARIANCE].reshape(SIZE, SIZE)
+        super().__init__(dim_x=SIZE, dim_z=1)
+        self.parameters = c
+        self.log_likelihood_sum = 0.0
+        """Of all measurements since it was last set to zero."""
+        self._out = np.zeros((3, 2))
+        self._out_path = self._out[0]
+        self._z = np.zeros(3)
+        self._R = np.zeros(2)
+
+    # filterpy keeps these as plain attributes; here they are views of the block of memory.
+    @property
+    def x(self) -> Array:
+        return self._x
+
+    @x.setter
+    def x(self, value: Any) -> None:
+        self._x[:] = np.asarray(value, dtype=float).reshape(SIZE, 1)
+
+    @property
+    def P(self) -> Array:
+        return self._P
+
+    @P.setter
+    def P(self, value: Any) -> None:
+        self._P[:] = np.eye(SIZE) * value if np.isscalar(value) else value
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the last measurement that `update` took."""
+        y, S = np.atleast_1d(np.ravel(self.y)), np.atleast_2d(self.S)
+        return float(
+            -0.5 * (y @ np.linalg.solve(S, y) + math.log(np.linalg.det(S)) + len(y) * LOG_2PI)
+        )
+
+    # The general calls ---------------------------------------------------------------------------
+    def predict(self, u: Array, dt: float) -> None:
+        """Move on by `dt` s with the inertial reading `u`; see `tram_kernels.move`."""
+        kernels.predict(self.memory, self.parameters, u, dt)
+
+    def update(
+        self,
+        z: Any,
+        HJacobian: Callable[..., Array],
+        Hx: Callable[..., Any],
+        R: Any = None,
+        args: Any = (),
+        hx_args: Any = (),
+        residual: Callable[[Any, Any], Any] = np.subtract,
+    ) -> None:
+        """Take any measurement, as `filterpy.kalman.ExtendedKalmanFilter.update` does.
+
+        Row after row, which is exact for a diagonal R; others are refused.
+
+        Raises
+        ------
+        ValueError
+            If R is not diagonal.
+        """
+        args = args if isinstance(args, tuple) else (args,)
+        hx_args = hx_args if isinstance(hx_args, tuple) else (hx_args,)
+        H = np.atleast_2d(HJacobian(self.x, *args))
+        R = self.R if R is None else R
+        R = np.eye(len(H)) * R if np.isscalar(R) else np.asarray(R, dtype=float)
+        if np.count_nonzero(R - np.diag(np.diag(R))):
+            raise ValueError("R is not diagonal: decorrelate the measurement first")
+        y = np.asarray(residual(np.asarray(z), Hx(self.x, *hx_args)), dtype=float).reshape(-1, 1)
+        self.y, self.z = y, np.asarray(z)
+        PHT = self._P @ H.T
+        self.S = H @ PHT + R
+        self.SI = np.linalg.inv(self.S)
+        self.K = PHT @ self.SI
+        before = self._x.copy()
+        gain = self.memory[kernels.GAIN]
+        for row, innovation, variance in zip(H, y[:, 0], np.diag(R), strict=True):
+            seen = float(innovation - row @ (self._x - before)[:, 0])
+            update_scalar(
+                self._x[:, 0], self._P, _COLUMNS, row, SIZE, seen, variance, math.inf, gain
+            )
+        self.x_post, self.P_post = self._x.copy(), self._P.copy()
+
+    # The vehicle's sensors -----------------------------------------------------------------------
+    def rest(self, dt: float) -> None:
+        """Let `dt` s pass for a vehicle that stands."""
+        kernels.rest(self.memory, self.parameters, dt)
+
+    def inertial(self, u: Array, before: Array) -> Verdict | None:
+        """Take the lateral specific force; a verdict only when it was refused."""
+        distance = kernels.inertial(self.memory, self.parameters, u, before, SCALAR_GATE)
+        if distance >= 0.0:
+            self.log_likelihood_sum -= 0.5 * distance
+            return None
+        self.log_likelihood_sum -= 0.5 * SCALAR_GATE
+        variance = self.parameters[Pm.LATERAL_VARIANCE]
+        return Verdict("lateral_force", math.sqrt(-distance * variance), variance, False)
+
+    def standing(self, u: Array) -> None:
+        """Take what a vehicle that stands shows."""
+        kernels.standing(self.memory, self.parameters, u)
+
+    def position(self, z: Sequence[float], std: float, std_up: float) -> list[Verdict]:
+        """Take the antenna's position in l, m; the deviations are those of the white part."""
+        self._z[0], self._z[1], self._z[2] = z
+        self._R[0], self._R[1] = std * std, std_up * std_up
+        measurements.position(
+            self.memory, self.parameters, self._z, self._R, PAIR_GATE, PAIR_KNEE, self._out
+        )
+        return self._judged(("gnss_east", "gnss_north", "gnss_up"))
+
+    def velocity(self, z: Sequence[float], std: float) -> list[Verdict]:
+        """Take the antenna's velocity over ground (east, north), m/s."""
+        self._z[0], self._z[1] = z
+        measurements.velocity(
+            self.memory, self.parameters, self._z, std * std, PAIR_GATE, PAIR_KNEE, self._out
+        )
+        return self._judged(("gnss_velocity_east", "gnss_velocity_north"))
+
+    def path(self, wheel: int, way: float, variance: float) -> Verdict:
+        """Take a wheel's path since its last reading, m."""
+        measurements.path(
+            self.memory, self.parameters, wheel, way, variance, SCALAR_GATE, self._out_path
+        )
+        return self._judged(("wheel_a" if wheel == 0 else "wheel_b",))[0]
+
+    def rim(self, wheel: int, speed: float, std: float) -> Verdict:
+        """Take a wheel's speed, m/s."""
+        measurements.rim(
+            self.memory, self.parameters, wheel, speed, std * std, SCALAR_GATE, self._out_path
+        )
+        return self._judged(("rim_a" if wheel == 0 else "rim_b",))[0]
+
+    def tie(self, wheel: int, variance: float) -> None:
+        """Count a wheel's path from here on."""
+        measurements.tie(self.memory, wheel, variance)
+
+    def _judged(self, names: Sequence[str]) -> list[Verdict]:
+        verdicts = []
+        for name, (y, S) in zip(names, self._out.tolist(), strict=False):
+            accepted = S > 0.0
+            S = abs(S)
+            # What is refused counts as much as the last that would not have been.
+            distance = min(y * y / S, PAIR_GATE) if S > 0.0 else PAIR_GATE
+            self.log_likelihood_sum -= 0.5 * (distance + math.log(S))
+            verdicts.append(Verdict(name, y, S, accepted))
+        return verdicts
+
+    # Changes that are no measurement -------------------------------------------------------------
+    def forget(self, slots: Sequence[Ix], stds: Sequence[float]) -> None:
+        """Make states independent of all others, with new deviations; their values stay."""
+        for slot, std in zip(slots, stds, strict=True):
+            self._P[slot, :] = self._P[:, slot] = 0.0
+            self._P[slot, slot] = std * std
+
+    def widen(self, slot: Ix, std: float) -> None:
+        """Add to a state's uncertainty; what others know of it stays."""
+        self._P[slot, slot] += std * std

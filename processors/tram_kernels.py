@@ -1,0 +1,349 @@
+"""The model `tram`, compiled: motion of the vehicle and what each sensor would measure.
+
+The vehicle moves along its own x axis: ṗ = C_lv [v 0 0]ᵀ (no side slip, no jumping). Specific
+force along x drives v, the angular rates drive the attitude, and both are inputs, not states: a
+step costs one prediction. Correlations that this brings are kept: the noise of the vertical gyroscope turns
+the heading and the paths of the two wheels together, which is how the wheels hold the heading.
+
+All functions work on one block of memory, so that a call from Python costs a fraction of a
+microsecond: x, P, two scratch areas (`views`). Equations are those of theory.md section 1, with the
+up direction of the place, u = [E/r, N/r, 1] in the tangent plane of the origin (r: Earth's radius).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tramstream.kernels import Array, Indices, compiled, predict_covariance, update_scalar
+from tramstream.processors.tram_states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
+
+ENTRY_COUNT = len(ENTRIES)
+_ROW_LENGTH = 8
+"""Most entries of a row of H."""
+_W = SIZE + SIZE * SIZE
+_K = _W + SIZE * SIZE
+_A = _K + SIZE
+_H = _A + ENTRY_COUNT
+_H2 = _H + _ROW_LENGTH
+ACCELERATION = _H2 + _ROW_LENGTH
+"""Where `predict` leaves v̇, m/s²."""
+YAW_RATE = ACCELERATION + 1
+"""Where it leaves ψ̇, rad/s."""
+MEMORY = YAW_RATE + 1
+STATE = slice(0, SIZE)
+COVARIANCE = slice(SIZE, _W)
+SCRATCH = slice(_W, _K)
+GAIN = slice(_K, _A)
+ENTRY_VALUES = slice(_A, _H)
+FIRST_ROW = slice(_H, _H2)
+SECOND_ROW = slice(_H2, ACCELERATION)
+
+
+def slots(*names: Ix) -> Indices:
+    """Columns of a row of H."""
+    return np.array([int(slot) for slot in names], dtype=np.int64)
+
+
+_LATERAL = slots(
+    Ix.SPEED, Ix.ROLL, Ix.PITCH, Ix.GYRO_Z, Ix.ACCEL_Y, Ix.MOUNT_ROLL, Ix.MOUNT_YAW, Ix.GYRO_SCALE
+)
+_STANDING = slots(Ix.SPEED)
+_LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW)
+_STILL = (slots(Ix.GYRO_X), slots(Ix.GYRO_Y), slots(Ix.GYRO_Z))
+
+
+@compiled
+def rates(x: Array, u: Array) -> tuple[float, float, float]:
+    """Angular rate of the vehicle out of the gyroscopes' reading, resolved in v, rad/s."""
+    a, b = u[0] - x[Ix.GYRO_X], u[1] - x[Ix.GYRO_Y]
+    c = (u[2] - x[Ix.GYRO_Z]) * (1.0 - x[Ix.GYRO_SCALE])
+    roll, yaw = x[Ix.MOUNT_ROLL], x[Ix.MOUNT_YAW]
+    return a - yaw * b, b + yaw * a - roll * c, c + roll * b
+
+
+@compiled
+def acceleration(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) -> float:
+    """v̇ out of the specific force along x, without gravity and the lever of the case, m/s²."""
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
+    gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
+    rx, ry, rz = c[Pm.IMU_X], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    lever = -(wy * wy + wz * wz) * rx + wx * wy * ry + wx * wz * rz + u[7] * rz - u[8] * ry
+    force = u[3] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
+    return force - gravity - lever
+
+
+@compiled
+def move(x: Array, c: Array, u: Array, dt: float) -> tuple[float, float]:
+    """Move x on by `dt` with the reading `u`; midpoint rule.
+
+    Parameters
+    ----------
+    x : ndarray, shape (SIZE,)
+    c : ndarray, shape (PARAMETERS,)
+    u : ndarray, shape (10,)
+        Angular rate (3), specific force (3), angular acceleration (3), resolved in v by the
+        configured mounting; 1 if there is an accelerometer, 0 if v is left to itself.
+
+    Returns
+    -------
+    acceleration, yaw_rate : float
+        Of the vehicle, m/s², rad/s.
+    """
+    wx, wy, wz = rates(x, u)
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
+    turning = sr * wy + cr * wz
+    yaw_rate, pitch_rate = turning / cp, cr * wy - sr * wz
+    accel = u[9] * acceleration(x, c, u, wx, wy, wz)
+    speed = x[Ix.SPEED] + 0.5 * dt * accel
+    pitch = x[Ix.PITCH] + 0.5 * dt * pitch_rate
+    yaw = x[Ix.YAW] + 0.5 * dt * yaw_rate
+    level = speed * math.cos(pitch) * dt
+    x[Ix.EAST] += level * math.cos(yaw)
+    x[Ix.NORTH] += level * math.sin(yaw)
+    x[Ix.UP] -= speed * math.sin(pitch) * dt
+    x[Ix.SPEED] += dt * accel
+    x[Ix.ROLL] += dt * (wx + tp * turning)
+    x[Ix.PITCH] += dt * pitch_rate
+    x[Ix.YAW] += dt * yaw_rate
+    x[Ix.PATH_A] += dt * c[Pm.SIGN_A] * (speed - c[Pm.OFFSET_A] * wz) * (1.0 + x[Ix.SCALE_A])
+    x[Ix.PATH_B] += dt * c[Pm.SIGN_B] * (speed - c[Pm.OFFSET_B] * wz) * (1.0 + x[Ix.SCALE_B])
+    keep = math.exp(-c[Pm.GNSS_DECAY] * dt)
+    x[Ix.GNSS_EAST] *= keep
+    x[Ix.GNSS_NORTH] *= keep
+    x[Ix.GNSS_UP] *= keep
+    return accel, yaw_rate
+
+
+@compiled
+def transition(x: Array, c: Array, u: Array, dt: float, values: Array) -> None:
+    """Fill `values` with the entries of A (`tram_states.ENTRIES`): derivatives of `move`, order dt.
+
+    Terms with dt² and products of a small mounting angle and a bias are left out.
+    """
+    wx, wy, wz = rates(x, u)
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    tp = sp / cp
+    turning, dipping = sr * wy + cr * wz, cr * wy - sr * wz
+    along = x[Ix.SPEED] * dt
+    scale = 1.0 - x[Ix.GYRO_SCALE]
+    rate_z = u[2] - x[Ix.GYRO_Z]
+    values[0], values[1], values[2] = cp * cy * dt, -sp * cy * along, -cp * sy * along
+    values[3], values[4], values[5] = cp * sy * dt, -sp * sy * along, cp * cy * along
+    values[6], values[7] = -sp * dt, -cp * along
+    values[8] = c[Pm.GRAVITY] * cp * dt * u[9]
+    values[9], values[10] = -dt * u[9], -u[4] * dt * u[9]
+    values[11], values[12] = tp * dipping * dt, turning / (cp * cp) * dt
+    values[13] = -turning * dt
+    values[14], values[15] = dipping / cp * dt, turning * sp / (cp * cp) * dt
+    k = 16
+    for angle in range(3):  # how the angle follows each rate of the vehicle
+        gx, gy, gz = 1.0, tp * sr, tp * cr
+        if angle == 1:
+            gx, gy, gz = 0.0, cr, -sr
+        elif angle == 2:
+            gx, gy, gz = 0.0, sr / cp, cr / cp
+        if angle == 0:
+            values[k] = -gx * dt
+            k += 1
+        values[k], values[k + 1] = -gy * dt, -gz * scale * dt
+        values[k + 2] = (gz * wy - gy * wz) * dt
+        values[k + 3] = (gy * wx - gx * wy) * dt
+        values[k + 4] = -gz * rate_z * dt
+        k += 5
+    for wheel in range(2):
+        offset, sign, counted = c[Pm.OFFSET_A], c[Pm.SIGN_A], 1.0 + x[Ix.SCALE_A]
+        if wheel == 1:
+            offset, sign, counted = c[Pm.OFFSET_B], c[Pm.SIGN_B], 1.0 + x[Ix.SCALE_B]
+        values[k] = sign * counted * dt
+        values[k + 1] = sign * (x[Ix.SPEED] - offset * wz) * dt
+        values[k + 2] = sign * offset * scale * counted * dt
+        values[k + 3] = sign * offset * rate_z * counted * dt
+        values[k + 4] = -sign * offset * wy * counted * dt
+        k += 5
+    decay = math.exp(-c[Pm.GNSS_DECAY] * dt) - 1.0
+    values[k] = values[k + 1] = values[k + 2] = decay
+
+
+@compiled
+def add_noise(x: Array, P: Array, c: Array, dt: float) -> None:
+    """P += Q: noise of the readings with all that it moves together, walks, creep of the wheels."""
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
+    # Per axis of the gyroscopes: how roll, pitch, yaw and the paths of the wheels follow it.
+    P[Ix.ROLL, Ix.ROLL] += c[Pm.ROLL_DENSITY] * dt
+    q = c[Pm.PITCH_DENSITY] * dt
+    a, b, d = tp * sr, cr, sr / cp
+    P[Ix.ROLL, Ix.ROLL] += q * a * a
+    P[Ix.PITCH, Ix.PITCH] += q * b * b
+    P[Ix.YAW, Ix.YAW] += q * d * d
+    _couple(P, Ix.ROLL, Ix.PITCH, q * a * b)
+    _couple(P, Ix.ROLL, Ix.YAW, q * a * d)
+    _couple(P, Ix.PITCH, Ix.YAW, q * b * d)
+    q = c[Pm.YAW_DENSITY] * dt
+    a, b, d = tp * cr, -sr, cr / cp
+    left = -c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
+    right = -c[Pm.SIGN_B] * c[Pm.OFFSET_B] * (1.0 + x[Ix.SCALE_B])
+    P[Ix.ROLL, Ix.ROLL] += q * a * a
+    P[Ix.PITCH, Ix.PITCH] += q * b * b
+    P[Ix.YAW, Ix.YAW] += q * d * d
+    _couple(P, Ix.ROLL, Ix.PITCH, q * a * b)
+    _couple(P, Ix.ROLL, Ix.YAW, q * a * d)
+    _couple(P, Ix.PITCH, Ix.YAW, q * b * d)
+    _couple(P, Ix.YAW, Ix.PATH_A, q * d * left)
+    _couple(P, Ix.YAW, Ix.PATH_B, q * d * right)
+    _couple(P, Ix.PATH_A, Ix.PATH_B, q * left * right)
+    way = abs(x[Ix.SPEED]) * dt
+    P[Ix.PATH_A, Ix.PATH_A] += q * left * left + c[Pm.SLIP_DENSITY] * way
+    P[Ix.PATH_B, Ix.PATH_B] += q * right * right + c[Pm.SLIP_DENSITY] * way
+    P[Ix.SCALE_A, Ix.SCALE_A] += c[Pm.SCALE_WALK] * way
+    P[Ix.SCALE_B, Ix.SCALE_B] += c[Pm.SCALE_WALK] * way
+    P[Ix.SPEED, Ix.SPEED] += c[Pm.ACCEL_DENSITY] * dt
+    P[Ix.GYRO_X, Ix.GYRO_X] += c[Pm.GYRO_WALK] * dt
+    P[Ix.GYRO_Y, Ix.GYRO_Y] += c[Pm.GYRO_WALK] * dt
+    P[Ix.GYRO_Z, Ix.GYRO_Z] += c[Pm.GYRO_WALK] * dt
+    P[Ix.ACCEL_X, Ix.ACCEL_X] += c[Pm.ACCEL_WALK] * dt
+    P[Ix.ACCEL_Y, Ix.ACCEL_Y] += c[Pm.ACCEL_WALK] * dt
+    P[Ix.GNSS_EAST, Ix.GNSS_EAST] += c[Pm.GNSS_DENSITY] * dt
+    P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] += c[Pm.GNSS_DENSITY] * dt
+    P[Ix.GNSS_UP, Ix.GNSS_UP] += c[Pm.GNSS_UP_DENSITY] * dt
+
+
+@compiled
+def _couple(P: Array, i: int, j: int, value: float) -> None:
+    P[i, j] += value
+    P[j, i] += value
+
+
+@compiled
+def predict(m: Array, c: Array, u: Array, dt: float) -> None:
+    """Move state and covariance on by `dt` s; see `move` for `u`."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    values = m[ENTRY_VALUES]
+    transition(x, c, u, dt, values)
+    predict_covariance(P, ROWS, COLUMNS, values, ENTRY_COUNT, m[SCRATCH].reshape((SIZE, SIZE)))
+    add_noise(x, P, c, dt)
+    m[ACCELERATION], m[YAW_RATE] = move(x, c, u, dt)
+
+
+@compiled
+def rest(m: Array, c: Array, dt: float) -> None:
+    """Let `dt` s pass for a vehicle that stands: only the sensors' errors go on."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    for axis in range(3):
+        P[Ix.GYRO_X + axis, Ix.GYRO_X + axis] += c[Pm.GYRO_WALK] * dt
+    P[Ix.ACCEL_X, Ix.ACCEL_X] += c[Pm.ACCEL_WALK] * dt
+    P[Ix.ACCEL_Y, Ix.ACCEL_Y] += c[Pm.ACCEL_WALK] * dt
+    P[Ix.GNSS_EAST, Ix.GNSS_EAST] += c[Pm.GNSS_DENSITY] * dt
+    P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] += c[Pm.GNSS_DENSITY] * dt
+    P[Ix.GNSS_UP, Ix.GNSS_UP] += c[Pm.GNSS_UP_DENSITY] * dt
+    x[Ix.SPEED] = m[ACCELERATION] = m[YAW_RATE] = 0.0
+
+
+@compiled
+def ahead(m: Array, c: Array, inputs: Array, durations: Array, count: int) -> None:
+    """Predict through `count` readings: the state step by step, the covariance in one step."""
+    before = m[STATE].copy()
+    total = 0.0
+    for k in range(count):
+        m[ACCELERATION], m[YAW_RATE] = move(m[STATE], c, inputs[k], durations[k])
+        total += durations[k]
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    transition(before, c, inputs[count - 1], total, m[ENTRY_VALUES])
+    scratch = m[SCRATCH].reshape((SIZE, SIZE))
+    predict_covariance(P, ROWS, COLUMNS, m[ENTRY_VALUES], ENTRY_COUNT, scratch)
+    add_noise(x, P, c, total)
+
+
+@compiled
+def inertial(m: Array, c: Array, u: Array, before: Array, gate: float) -> float:
+    """Take the lateral specific force: f_y = v ω_z + g cosθ sinφ.
+
+    The row of H is that of the reading before: its own would carry the noise of the gyroscope that
+    the innovation carries too, and their product has a mean that turns into a false scale.
+
+    Returns y²/S, negative when it was refused.
+    """
+    x, P, K, h = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE)), m[GAIN], m[FIRST_ROW]
+    wx, wy, wz = rates(x, u)
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    g, v = c[Pm.GRAVITY], x[Ix.SPEED]
+    rx, ry, rz = c[Pm.IMU_X], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    lever = wx * wy * rx - (wx * wx + wz * wz) * ry + wy * wz * rz + u[8] * rx - u[6] * rz
+    tilt = x[Ix.NORTH] * math.cos(x[Ix.YAW]) - x[Ix.EAST] * math.sin(x[Ix.YAW])
+    expected = v * wz + g * (cp * sr + tilt * c[Pm.CURVATURE]) + lever
+    read = u[4] + x[Ix.MOUNT_YAW] * u[3] - x[Ix.MOUNT_ROLL] * u[5] - x[Ix.ACCEL_Y]
+    scale = 1.0 - x[Ix.GYRO_SCALE]
+    _, wy, wz = rates(x, before)
+    h[0], h[1], h[2] = wz, g * cp * cr, -g * sp * sr
+    h[3], h[4] = -v * scale, 1.0
+    h[5], h[6] = before[5] + v * wy, -before[3]
+    h[7] = -v * (before[2] - x[Ix.GYRO_Z])
+    y = read - expected
+    variance = c[Pm.LATERAL_VARIANCE] + v * v * c[Pm.READING_VARIANCE]
+    S = update_scalar(x, P, _LATERAL, h, 8, y, variance, gate, K)
+    return y * y / S
+
+
+@compiled
+def standing(m: Array, c: Array, u: Array) -> None:
+    """Take what a vehicle that stands shows: no speed, biases as rates, gravity along x."""
+    x, P, K, h = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE)), m[GAIN], m[FIRST_ROW]
+    h[0] = 1.0
+    update_scalar(x, P, _STANDING, h, 1, -x[Ix.SPEED], c[Pm.STANDING_VARIANCE], math.inf, K)
+    for axis in range(3):
+        variance = c[Pm.STILL_ROLL_VARIANCE + axis]
+        y = u[axis] - x[Ix.GYRO_X + axis]
+        update_scalar(x, P, _STILL[axis], h, 1, y, variance, math.inf, K)
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
+    gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
+    h[0], h[1], h[2] = -c[Pm.GRAVITY] * cp, 1.0, u[4]
+    y = u[3] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X] - gravity
+    update_scalar(x, P, _LEVEL, h, 3, y, c[Pm.STILL_FORCE_VARIANCE], math.inf, K)
+
+
+@compiled
+def read(
+    inputs: Array,
+    C_vb: Array,
+    gx: float,
+    gy: float,
+    gz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    dt: float,
+) -> None:
+    """Turn a reading of the case into the vehicle's axes, and remember the one before.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (3, 10)
+        Rows for `move`: the reading before, this one, and their mean: what acts between them.
+    C_vb : ndarray, shape (3, 3)
+    dt : float
+        Between the two readings, s; 0 if there is none before.
+    """
+    for k in range(10):
+        inputs[0, k] = inputs[1, k]
+    for i in range(3):
+        inputs[1, i] = C_vb[i, 0] * gx + C_vb[i, 1] * gy + C_vb[i, 2] * gz
+        inputs[1, 3 + i] = C_vb[i, 0] * ax + C_vb[i, 1] * ay + C_vb[i, 2] * az
+        inputs[1, 6 + i] = 0.0
+    inputs[1, 9] = 1.0
+    if dt <= 0.0:
+        for k in range(10):
+            inputs[0, k] = inputs[1, k]
+    for k in range(6):
+        inputs[2, k] = 0.5 * (inputs[0, k] + inputs[1, k])
+    for k in range(3):
+        inputs[2, 6 + k] = (inputs[1, k] - inputs[0, k]) / dt if dt > 0.0 else 0.0
+        inputs[1, 6 + k] = inputs[2, 6 + k]
+    inputs[2, 9] = 1.0

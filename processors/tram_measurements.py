@@ -1,0 +1,154 @@
+"""What GNSS and wheels would measure in the model `tram`, compiled: innovation, row of H, update.
+
+The motion is that of `tram_kernels`; memory and parameters are laid out there. Each function
+returns what the filter reports: innovations, their variances, and the gate's verdict in the sign of
+the variance (negative: refused, nothing has changed).
+"""
+
+from __future__ import annotations
+
+import math
+
+from tramstream.kernels import Array, compiled, update_pair, update_scalar
+from tramstream.processors.tram_kernels import (
+    ACCELERATION,
+    COVARIANCE,
+    FIRST_ROW,
+    GAIN,
+    SECOND_ROW,
+    STATE,
+    YAW_RATE,
+    slots,
+)
+from tramstream.processors.tram_states import SIZE, Ix, Pm
+
+_EAST = slots(Ix.EAST, Ix.GNSS_EAST, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL)
+_NORTH = slots(Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL)
+_UP = slots(Ix.UP, Ix.GNSS_UP, Ix.GNSS_DELAY, Ix.SPEED, Ix.PITCH, Ix.ROLL)
+_VELOCITY = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.GYRO_Z)
+_WHEEL_A = slots(Ix.PATH_A, Ix.WHEEL_DELAY, Ix.SPEED)
+_WHEEL_B = slots(Ix.PATH_B, Ix.WHEEL_DELAY, Ix.SPEED)
+_RIM_A = slots(Ix.SPEED, Ix.SCALE_A, Ix.GYRO_Z, Ix.WHEEL_DELAY)
+_RIM_B = slots(Ix.SPEED, Ix.SCALE_B, Ix.GYRO_Z, Ix.WHEEL_DELAY)
+
+
+@compiled
+def _lever(x: Array, c: Array) -> tuple[float, float, float, float, float]:
+    """C_lv p_va (east, north, up), and the lever resolved along and across the level heading."""
+    ax, ay, az = c[Pm.ANTENNA_X], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z]
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    along = cp * ax + sp * (sr * ay + cr * az)
+    across = cr * ay - sr * az
+    up = -sp * ax + cp * (sr * ay + cr * az)
+    return cy * along - sy * across, sy * along + cy * across, up, along, across
+
+
+@compiled
+def position(m: Array, c: Array, z: Array, R: Array, gate: float, knee: float, out: Array) -> None:
+    """Take a fix: p + C_lv p_va + its correlated error, of the instant before its delay.
+
+    Parameters
+    ----------
+    z : ndarray, shape (3,)
+        Antenna in l, m.
+    R : ndarray, shape (2,)
+        White variance, horizontal and vertical, m².
+    gate : float
+        Greatest squared Mahalanobis distance that is accepted.
+    knee : float
+        Beyond this distance squared a fix is weighted down (Huber).
+    out : ndarray, shape (3, 2)
+        Gets innovations and variances of east, north and up.
+    """
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    K, h, h2 = m[GAIN], m[FIRST_ROW], m[SECOND_ROW]
+    east, north, up, along, across = _lever(x, c)
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    az, v, delay = c[Pm.ANTENNA_Z], x[Ix.SPEED], x[Ix.GNSS_DELAY]
+    # An antenna before or behind the pivot swings sideways with the yaw rate.
+    ahead, aside = v * cp - m[YAW_RATE] * across, m[YAW_RATE] * along
+    ve, vn, vu = cy * ahead - sy * aside, sy * ahead + cy * aside, -v * sp
+    h[0], h[1], h[2], h[3] = 1.0, 1.0, -ve, -cy * cp * delay
+    h[4], h[5], h[6] = -north + vn * delay, cy * az, sy * az
+    h2[0], h2[1], h2[2], h2[3] = 1.0, 1.0, -vn, -sy * cp * delay
+    h2[4], h2[5], h2[6] = east - ve * delay, sy * az, -cy * az
+    out[0, 0] = z[0] - (x[Ix.EAST] + east + x[Ix.GNSS_EAST] - ve * delay)
+    out[1, 0] = z[1] - (x[Ix.NORTH] + north + x[Ix.GNSS_NORTH] - vn * delay)
+    update_pair(x, P, _EAST, h, 7, _NORTH, h2, 7, R[0], gate, knee, K, out)
+    _, _, up, along, across = _lever(x, c)
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    vu, delay = -x[Ix.SPEED] * sp, x[Ix.GNSS_DELAY]
+    h[0], h[1], h[2], h[3] = 1.0, 1.0, -vu, sp * delay
+    h[4], h[5] = -along + x[Ix.SPEED] * cp * delay, across
+    y = z[2] - (x[Ix.UP] + up + x[Ix.GNSS_UP] - vu * delay)
+    out[2, 0], out[2, 1] = y, update_scalar(x, P, _UP, h, 6, y, R[1], gate, K)
+
+
+@compiled
+def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, out: Array) -> None:
+    """Take an antenna's velocity over ground (east, north), m/s; see `position`."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    K, h, h2 = m[GAIN], m[FIRST_ROW], m[SECOND_ROW]
+    _, _, _, along, across = _lever(x, c)
+    cp = math.cos(x[Ix.PITCH])
+    sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    a, w, delay = m[ACCELERATION], m[YAW_RATE], x[Ix.GNSS_DELAY]
+    v = x[Ix.SPEED]
+    ahead, aside = v * cp - w * across, w * along
+    ve, vn = cy * ahead - sy * aside, sy * ahead + cy * aside
+    ae, an = cy * a - w * vn, sy * a + w * ve
+    h[0], h[1], h[2], h[3] = cy * cp, -vn, -ae, cy * across + sy * along
+    h2[0], h2[1], h2[2], h2[3] = sy * cp, ve, -an, sy * across - cy * along
+    out[0, 0] = z[0] - (ve - ae * delay)
+    out[1, 0] = z[1] - (vn - an * delay)
+    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, gate, knee, K, out)
+
+
+@compiled
+def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out: Array) -> None:
+    """Take a wheel's path since its last reading, m, and count from here on.
+
+    `out`, shape (2,), gets the innovation and its variance.
+    """
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    K, h = m[GAIN], m[FIRST_ROW]
+    slot, sign, columns = Ix.PATH_A + 0, c[Pm.SIGN_A], _WHEEL_A
+    if wheel == 1:
+        slot, sign, columns = Ix.PATH_B + 0, c[Pm.SIGN_B], _WHEEL_B
+    v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
+    h[0], h[1], h[2] = 1.0, -sign * v, -sign * delay
+    y = way - (x[slot] - sign * v * delay)
+    out[0], out[1] = y, update_scalar(x, P, columns, h, 3, y, R, gate, K)
+    x[slot] -= way
+
+
+@compiled
+def tie(m: Array, wheel: int, variance: float) -> None:
+    """Count a wheel's path from here on, whatever came before: a slip, a pause, a new counter."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    slot = Ix.PATH_A + 0
+    if wheel == 1:
+        slot = Ix.PATH_B + 0
+    x[slot] = 0.0
+    for i in range(SIZE):
+        P[slot, i] = P[i, slot] = 0.0
+    P[slot, slot] = variance
+
+
+@compiled
+def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out: Array) -> None:
+    """Take a wheel's speed, m/s, where the bus gives one; see `path`."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    K, h = m[GAIN], m[FIRST_ROW]
+    offset, sign, scale, columns = c[Pm.OFFSET_A], c[Pm.SIGN_A], x[Ix.SCALE_A], _RIM_A
+    if wheel == 1:
+        offset, sign, scale, columns = c[Pm.OFFSET_B], c[Pm.SIGN_B], x[Ix.SCALE_B], _RIM_B
+    a, delay = m[ACCELERATION], x[Ix.WHEEL_DELAY]
+    true = sign * (x[Ix.SPEED] - a * delay - offset * m[YAW_RATE])
+    counted = 1.0 + scale
+    h[0], h[1], h[2], h[3] = sign * counted, true, sign * offset * counted, -sign * a * counted
+    y = speed - true * counted
+    out[0], out[1] = y, update_scalar(x, P, columns, h, 4, y, R, gate, K)

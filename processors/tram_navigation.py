@@ -1,0 +1,244 @@
+"""One frame of the fusion horizon through the model `tram`, once the filter runs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tramstream.attitude import C_vl
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.geodesy import LocalLevel, normal_gravity_mps2
+from tramstream.kernels import Array
+from tramstream.localisation import Verdict
+from tramstream.processors import tram_kernels as kernels
+from tramstream.processors.tram_filter import TramFilter, parameters
+from tramstream.processors.tram_fixes import Fixes, deviations, unusable
+from tramstream.processors.tram_states import PARAMETERS, Ix, Pm
+from tramstream.processors.tram_wheels import WheelPair
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
+from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
+
+ROLL_STD_RAD = 0.06
+"""Cant of 90 mm on 1435 mm, at the start."""
+PITCH_STD_RAD = 0.06
+"""Grade of 7 % with a margin, at the start."""
+GYRO_SCALE_STD = 0.003
+"""ADIS16465 data sheet: sensitivity tolerance."""
+START_STD_M = 1000.0
+"""Position before the first fix."""
+LEAVING_STD_MPS = 0.01
+"""Speed that standing may hide in its last moment."""
+LEAST_STEP_S = 1e-6
+
+
+class Navigation:
+    """Filter, wheels and fixes of a vehicle whose place is known."""
+
+    def __init__(self, vehicle: Vehicle, level: LocalLevel) -> None:
+        self.level = level
+        gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
+        self.ekf = TramFilter(parameters(vehicle, gravity))
+        self.wheels = WheelPair(vehicle)
+        self.fixes = Fixes(vehicle)
+        self.stamp_ns = 0
+        self.inputs = np.zeros((3, 10))
+        """Inertial reading before, now, and what acts between them."""
+        self.complaints: list[str] = []
+        imu = vehicle.imu
+        mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
+        self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
+        self._read_ns = 0
+        self._still_floor = np.zeros(2)
+        if imu is not None:
+            rate, force = imu.gyro_noise_radps_rthz, imu.accel_noise_mps2_rthz
+            self._still_floor = np.array([rate**2, force**2])
+        self._yaw_rate_variance = vehicle.wheels.yaw_rate_std_radps**2
+        self._rate_ns = 0
+        self.stood = False
+        """Whether the vehicle stood in the last frame."""
+        self._begin(vehicle)
+
+    def _begin(self, vehicle: Vehicle) -> None:
+        """First values and deviations of all states but the position's."""
+        imu, wheels = vehicle.imu, vehicle.wheels
+        std = np.zeros(len(Ix))
+        std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M
+        std[Ix.ROLL], std[Ix.PITCH] = ROLL_STD_RAD, PITCH_STD_RAD
+        std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
+        if imu is not None:
+            std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
+            std[[Ix.MOUNT_ROLL, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
+            std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
+        else:
+            std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
+        std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
+        std[Ix.WHEEL_DELAY] = wheels.delay_std_s
+        if vehicle.gnss is not None:
+            std[Ix.GNSS_DELAY] = vehicle.gnss.delay_std_s
+        self.ekf.P = np.diag(std**2)
+        self.ekf.memory[Ix.WHEEL_DELAY] = wheels.delay_s
+
+    # Readings ------------------------------------------------------------------------------------
+    def read(self, frame: SyncFrame) -> bool:
+        """Take over the frame's inertial reading, or the bus' yaw rate; False without either."""
+        if frame.HasField("imu"):
+            return self._read_imu(frame.imu)
+        rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
+        if rates and math.isfinite(rates[-1].yaw_rate_radps):
+            self._read_rate(rates[-1])
+        return False
+
+    def _read_imu(self, mean: ImuMean) -> bool:
+        dt = (mean.stamp_ns - self._read_ns) / S if self._read_ns else 0.0
+        if dt > 0.1:  # a gap: what was before says nothing about what acted in it
+            dt = 0.0
+        gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
+        ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
+        if not math.isfinite(gx + gy + gz + ax + ay + az):
+            self.complaints.append("an inertial reading that is no number; the one before is kept")
+            return False
+        kernels.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        self._read_ns = mean.stamp_ns
+        return True
+
+    def _read_rate(self, reading: Odometry) -> None:
+        """The bus' own yaw rate stands for a gyroscope; its white noise lasts one interval."""
+        self.inputs[1:, :] = 0.0
+        self.inputs[1:, 2] = reading.yaw_rate_radps
+        if self._rate_ns:
+            interval = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
+            self.ekf.parameters[Pm.YAW_DENSITY] = self._yaw_rate_variance * interval
+        self._rate_ns = reading.stamp_ns
+
+    # One frame -----------------------------------------------------------------------------------
+    def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:
+        """Go to the frame's stamp with all that is in it; `read` has been called.
+
+        Parameters
+        ----------
+        standing : bool
+            Whether the vehicle stands.
+        noise : ndarray, shape (6,), or None
+            Variance that rates and specific forces scatter by, if they are there.
+        """
+        ekf = self.ekf
+        if self.stood and not standing:
+            ekf.widen(Ix.SPEED, LEAVING_STD_MPS)
+        self.stood = standing
+        verdicts: list[Verdict] = []
+        if frame.gnss or frame.odometry:
+            for measurement in sorted((*frame.gnss, *frame.odometry), key=_stamp):
+                self._advance(min(measurement.stamp_ns, frame.stamp_ns), standing)
+                verdicts += self._measure(measurement, standing)
+        self._advance(frame.stamp_ns, standing)
+        if noise is None:
+            if standing:
+                ekf.memory[Ix.SPEED] = 0.0
+            return verdicts
+        u = self.inputs[1]
+        if standing:
+            self._stand(u, noise)
+        verdict = ekf.inertial(u, self.inputs[0])
+        if verdict is not None:
+            verdicts.append(verdict)
+        return verdicts
+
+    def _advance(self, stamp_ns: int, standing: bool) -> None:
+        dt = (stamp_ns - self.stamp_ns) / S
+        if dt < LEAST_STEP_S:
+            return
+        if standing:
+            self.ekf.rest(dt)
+        else:
+            self.ekf.predict(self.inputs[2], dt)
+        self.stamp_ns = stamp_ns
+
+    def _stand(self, u: Array, noise: Array) -> None:
+        c = self.ekf.parameters
+        rate, force = self._still_floor.tolist()
+        a, b, d, x, _, _ = noise.tolist()
+        # The floor is the white noise of a 10 ms mean; shaking comes on top of it.
+        c[Pm.STILL_ROLL_VARIANCE] = max(a, 100.0 * rate)
+        c[Pm.STILL_PITCH_VARIANCE] = max(b, 100.0 * rate)
+        c[Pm.STILL_YAW_VARIANCE] = max(d, 100.0 * rate)
+        c[Pm.STILL_FORCE_VARIANCE] = max(x, 100.0 * force)
+        self.ekf.standing(u)
+
+    def _measure(self, measurement: Any, standing: bool) -> list[Verdict]:
+        if isinstance(measurement, GnssFix):
+            if not measurement.valid:
+                return []
+            reason = unusable(measurement, self.level)
+            if reason:
+                self.complaints.append(f"{reason} was left out")
+                return []
+            verdicts, sentence = self.fixes.take(measurement, self.ekf, self.level, standing)
+            if sentence:
+                self.complaints.append(sentence)
+            return verdicts
+        if not self.wheels.known:
+            self.wheels.meet(measurement, self.ekf)
+        return self.wheels.take(measurement, self.ekf)
+
+    # Changes of the situation --------------------------------------------------------------------
+    def face(self, yaw_rad: float, std_rad: float, vehicle: Vehicle) -> None:
+        """Set the heading; the position, until now the antenna's, becomes the vehicle's."""
+        ekf, c = self.ekf, self.ekf.parameters
+        ekf.memory[Ix.YAW] = yaw_rad
+        ekf.forget((Ix.YAW,), (std_rad,))
+        if vehicle.gnss is None:
+            return
+        ax, ay, az = vehicle.gnss.lever_arm_m
+        c[Pm.ANTENNA_X], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z] = ax, ay, az
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        east, north = cos * ax - sin * ay, sin * ax + cos * ay
+        ekf.memory[Ix.EAST] -= east
+        ekf.memory[Ix.NORTH] -= north
+        ekf.memory[Ix.UP] -= az
+        # An error of the heading moves the vehicle about the antenna.
+        for slot, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
+            ekf.P[slot, :] += moved * ekf.P[Ix.YAW, :]
+        for slot, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
+            ekf.P[:, slot] += moved * ekf.P[:, Ix.YAW]
+
+    def unface(self) -> None:
+        """While the heading is unknown, the position is the antenna's."""
+        self.ekf.parameters[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = 0.0
+        self.ekf.memory[Ix.YAW] = 0.0
+        self.ekf.forget((Ix.YAW,), (0.0,))
+
+    def accuracy_m(self, fix: GnssFix) -> float:
+        """Deviation of a fix on each horizontal axis."""
+        return deviations(fix, self.fixes.floor_m)[0]
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "memory": self.ekf.memory.copy(),
+            "parameters": self.ekf.parameters.copy(),
+            "stamp_ns": self.stamp_ns,
+            "inputs": self.inputs.copy(),
+            "read_ns": self._read_ns,
+            "rate_ns": self._rate_ns,
+            "stood": self.stood,
+            "wheels": self.wheels.snapshot(),
+            "fixes": self.fixes.snapshot(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.ekf.memory[:] = state["memory"]
+        self.ekf.parameters = np.array(state["parameters"]).reshape(PARAMETERS)
+        self.stamp_ns, self._read_ns = state["stamp_ns"], state["read_ns"]
+        self.inputs = np.array(state["inputs"])
+        self._rate_ns, self.stood = state["rate_ns"], state["stood"]
+        self.wheels.restore(state["wheels"])
+        self.fixes.restore(state["fixes"])
+
+
+def _stamp(measurement: Any) -> int:
+    stamp_ns: int = measurement.stamp_ns
+    return stamp_ns

@@ -1,0 +1,238 @@
+"""Wheel readings for the model `tram`: which wheel, how far since its last reading, and slip.
+
+A wheel's path is held against the filter's own, reading by reading, and never loses a pulse. When a
+reading does not fit, the wheel slips or slides: it is counted anew from each reading and tells
+nothing, until it has agreed with the filter for a while.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.localisation import Verdict
+from tramstream.processors.tram_filter import QUANTISATION, TramFilter
+from tramstream.processors.tram_states import Ix, Pm
+from tramstream.proto.raw_pb2 import Odometry, WheelReading
+from tramstream.proto.sync_pb2 import SyncFrame
+
+AGREE_S = 0.5
+"""A wheel that has slipped is believed again when it has agreed for so long..."""
+AGREE_SIGMA = 3.0
+GIVE_IN_S = 20.0
+"""... or when it has disagreed for so long: then the filter's speed is wrong, not the wheel."""
+MAX_PAUSE_S = 0.5
+"""After a longer pause a path says nothing about the wheel's grip."""
+MAX_MPS = 40.0
+"""A counter that runs faster has started anew."""
+BACKWARDS_MPS = 0.3
+TURNING_MPS = 0.03
+"""A wheel that gives its speed turns above this."""
+
+
+@dataclass
+class Wheel:
+    """What is remembered of one wheel."""
+
+    slot: int
+    pulses: int | None = None
+    stamp_ns: int = 0
+    slipping: bool = False
+    slip_ns: int = 0  # since when
+    agreed_ns: int = 0  # since when it agrees again
+    signed: bool = False  # has counted down
+
+
+class WheelPair:
+    """The one or two wheels that the filter has states for."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        config = vehicle.wheels
+        self._m_per_pulse = config.m_per_pulse
+        self._stamp_variance = config.stamp_std_s**2
+        self._speed_std = config.speed_std_mps
+        odometer = vehicle.odometer
+        self._sides = (
+            {name: w.side for name, w in odometer.wheels.items() if w.side} if odometer else {}
+        )
+        self._wheels: dict[str, Wheel] = {}
+        self.slips = 0
+
+    def side(self, name: str) -> str:
+        known = self._sides.get(name)
+        if known:
+            return known
+        lower = name.lower()
+        return "left" if "left" in lower else "right" if "right" in lower else "middle"
+
+    def meet(self, reading: Odometry, ekf: TramFilter) -> None:
+        """Give slots to the wheels of the first reading: left and right, else whatever comes."""
+        sides = {wheel.wheel: self.side(wheel.wheel) for wheel in reading.wheels}
+        chosen: list[str] = []
+        for side in ("left", "right", "middle"):
+            named = [name for name, its in sides.items() if its == side]
+            chosen += named[:1] if side != "middle" or not chosen else []
+        c = ekf.parameters
+        half = abs(c[Pm.OFFSET_A])
+        lateral = {"left": half, "right": -half, "middle": 0.0}
+        for slot, name in enumerate(chosen[:2]):
+            self._wheels[name] = Wheel(slot)
+            c[Pm.OFFSET_A + slot] = lateral[sides[name]]
+
+    @property
+    def known(self) -> bool:
+        return bool(self._wheels)
+
+    def turned(self, reading: Odometry) -> tuple[bool, float] | None:
+        """Whether any wheel has turned since its last reading, and how far on average, m."""
+        ways = []
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if each.HasField("pulses"):
+                if wheel is not None and wheel.pulses is not None:
+                    ways.append((each.pulses - wheel.pulses) * self._m_per_pulse)
+            elif each.HasField("speed_mps") and abs(each.speed_mps) > TURNING_MPS:
+                ways.append(each.speed_mps)
+            elif each.HasField("speed_mps"):
+                ways.append(0.0)
+        if not ways:
+            return None
+        return any(way != 0.0 for way in ways), sum(ways) / len(ways)
+
+    def take(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
+        """Take all wheels of a reading; the filter is at its stamp."""
+        verdicts = []
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if wheel is None:
+                continue
+            if each.HasField("pulses"):
+                verdict = self._path(wheel, each.pulses, reading.stamp_ns, ekf)
+            elif each.HasField("speed_mps") and math.isfinite(each.speed_mps):
+                verdict = self._rim(wheel, each, reading.stamp_ns, ekf)
+            else:
+                verdict = None
+            if verdict is not None:
+                verdicts.append(verdict)
+        return verdicts
+
+    def direction(self, counted: float) -> float:
+        """1 forwards, −1 backwards, 0 if the wheels do not tell: they may count up both ways."""
+        if counted < 0.0:
+            return -1.0
+        return 1.0 if any(wheel.signed for wheel in self._wheels.values()) else 0.0
+
+    def run(self, direction: float, counted: float, ekf: TramFilter) -> None:
+        """Let the wheels count as they did for a vehicle that ran in `direction`."""
+        sign = direction if counted > 0.0 else 1.0
+        ekf.parameters[Pm.SIGN_A] = ekf.parameters[Pm.SIGN_B] = sign
+
+    def note(self, reading: Odometry) -> None:
+        """Remember where the wheels' counters are, without a filter to tell."""
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if wheel is not None and each.HasField("pulses"):
+                wheel.signed |= wheel.pulses is not None and each.pulses < wheel.pulses
+                wheel.pulses, wheel.stamp_ns = each.pulses, reading.stamp_ns
+
+    def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
+        before, before_ns = wheel.pulses, wheel.stamp_ns
+        wheel.pulses, wheel.stamp_ns = pulses, stamp_ns
+        speed = float(ekf.memory[Ix.SPEED])
+        variance = self._m_per_pulse**2 * QUANTISATION + speed**2 * self._stamp_variance
+        pause_s = (stamp_ns - before_ns) / S
+        if before is None or pause_s <= 0.0:
+            ekf.tie(wheel.slot, variance)
+            return None
+        way = (pulses - before) * self._m_per_pulse
+        wheel.signed |= way < 0.0
+        if pause_s > MAX_PAUSE_S or abs(way) > MAX_MPS * max(pause_s, 0.05):
+            ekf.tie(wheel.slot, variance)
+            return None
+        self._turn_sign(wheel, way, speed, ekf)
+        if wheel.slipping:
+            return self._slip(wheel, way, variance, stamp_ns, ekf)
+        verdict = ekf.path(wheel.slot, way, variance)
+        if not verdict.accepted:
+            wheel.slipping, wheel.slip_ns, wheel.agreed_ns = True, stamp_ns, stamp_ns
+            self.slips += 1
+            ekf.tie(wheel.slot, variance)
+        return verdict
+
+    def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
+        """A counter that only counts up does so backwards too."""
+        c, slot = ekf.parameters, Pm.SIGN_A + wheel.slot
+        if wheel.signed:
+            sign = 1.0
+        elif way * c[slot] * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
+            sign = -c[slot]
+        else:
+            return
+        if sign != c[slot]:
+            c[slot] = sign
+            ekf.tie(wheel.slot, self._m_per_pulse**2)
+
+    def _slip(
+        self, wheel: Wheel, way: float, variance: float, stamp_ns: int, ekf: TramFilter
+    ) -> Verdict:
+        """Watch a slipping wheel: it is counted anew from reading to reading."""
+        slot = Ix.PATH_A + wheel.slot
+        y = way - float(ekf.memory[slot])
+        S_y = float(ekf.P[slot, slot]) + variance
+        agrees = y * y <= AGREE_SIGMA**2 * S_y
+        if not agrees:
+            wheel.agreed_ns = stamp_ns
+        ekf.tie(wheel.slot, variance)
+        if stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+            ekf.widen(Ix.SPEED, abs(y) / 0.02)
+            wheel.slipping = False
+        elif stamp_ns - wheel.agreed_ns > AGREE_S * S:
+            wheel.slipping = False
+        name = "wheel_a" if wheel.slot == 0 else "wheel_b"
+        return Verdict(name, y, S_y, False)
+
+    def _rim(
+        self, wheel: Wheel, each: WheelReading, stamp_ns: int, ekf: TramFilter
+    ) -> Verdict | None:
+        wheel.signed |= each.speed_mps < -TURNING_MPS
+        speed = float(ekf.memory[Ix.SPEED])
+        self._turn_sign(wheel, each.speed_mps, speed, ekf)
+        verdict = ekf.rim(wheel.slot, each.speed_mps, self._speed_std)
+        if verdict.accepted:
+            wheel.slipping = False
+        elif not wheel.slipping:
+            wheel.slipping, wheel.slip_ns = True, stamp_ns
+            self.slips += 1
+        elif stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+            ekf.widen(Ix.SPEED, abs(verdict.innovation))
+            wheel.slip_ns = stamp_ns
+        return verdict
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "slips": self.slips,
+            "wheels": {name: asdict(wheel) for name, wheel in self._wheels.items()},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.slips = state["slips"]
+        self._wheels = {name: Wheel(**fields) for name, fields in state["wheels"].items()}
+
+
+def counted(frames: list[SyncFrame]) -> float:
+    """What all wheels together have counted in `frames`: pulses, or seconds times speed."""
+    first: dict[str, int] = {}
+    total = 0.0
+    for frame in frames:
+        for reading in frame.odometry:
+            for wheel in reading.wheels:
+                if wheel.HasField("pulses"):
+                    total += wheel.pulses - first.get(wheel.wheel, wheel.pulses)
+                    first[wheel.wheel] = wheel.pulses
+                elif wheel.HasField("speed_mps"):
+                    total += wheel.speed_mps
+    return total

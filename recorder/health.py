@@ -1,0 +1,107 @@
+"""What a record says of the system itself: states of nodes and devices, losses, sentences.
+
+States are kept as runs: from the message that first told one to the last that still did, so hours
+of heartbeats come down to the few times that something changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from tramstream import keys
+from tramstream.clock import S
+from tramstream.proto.health_pb2 import ClockReference, DeviceHealth, Loss, NodeHealth
+
+SILENCE_NS = 5 * S
+"""Heartbeats come once a second; a longer pause ends a run, for nobody knows the state."""
+
+
+@dataclass(slots=True)
+class Run:
+    """One node or device in one state, from `start_ns` to `end_ns`."""
+
+    state: str
+    text: str
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(slots=True)
+class Sentence:
+    """One line of a node's log."""
+
+    stamp_ns: int
+    level: str
+    node: str
+    text: str
+
+
+@dataclass(slots=True)
+class Health:
+    """The `health/` part of a record; nodes and devices by the source of their key."""
+
+    nodes: dict[str, list[Run]] = field(default_factory=dict)
+    devices: dict[str, list[Run]] = field(default_factory=dict)
+    last_of_node: dict[str, NodeHealth] = field(default_factory=dict)
+    last_of_device: dict[str, DeviceHealth] = field(default_factory=dict)
+    losses: list[Loss] = field(default_factory=list)
+    log: list[Sentence] = field(default_factory=list)
+    utc_offset_ns: int | None = None
+    """Host's UTC minus vehicle clock, as last told; None if nobody did."""
+
+    def add(self, topic: str, message: Any) -> None:
+        """Take a message of one of `HEALTH_TYPES`."""
+        source = keys.split(topic)[1].split("/")[1:2]
+        _ADD[type(message).DESCRIPTOR.full_name](self, source[0] if source else topic, message)
+
+
+def _add_node(health: Health, source: str, beat: NodeHealth) -> None:
+    state = NodeHealth.State.Name(beat.state)
+    _extend(health.nodes.setdefault(source, []), state, beat.text, beat.stamp_ns)
+    health.last_of_node[source] = beat
+
+
+def _add_device(health: Health, source: str, device: DeviceHealth) -> None:
+    state = DeviceHealth.State.Name(device.state)
+    _extend(health.devices.setdefault(source, []), state, device.text, device.stamp_ns)
+    health.last_of_device[source] = device
+
+
+def _add_loss(health: Health, source: str, loss: Loss) -> None:
+    health.losses.append(loss)
+
+
+def _add_log(health: Health, source: str, log: Any) -> None:
+    level = Log.Level.Name(log.level)
+    stamp_ns = log.timestamp.ToNanoseconds()
+    health.log.append(Sentence(stamp_ns, level, log.name or source, log.message))
+
+
+def _add_clock(health: Health, source: str, reference: ClockReference) -> None:
+    health.utc_offset_ns = reference.host_utc_ns - reference.stamp_ns
+
+
+def _extend(runs: list[Run], state: str, text: str, stamp_ns: int) -> None:
+    """The state holds until the next message, unless that one is long in coming."""
+    last = runs[-1] if runs else None
+    if last is not None and 0 <= stamp_ns - last.end_ns <= SILENCE_NS:
+        last.end_ns = stamp_ns
+        if last.state == state:
+            last.text = text or last.text
+            return
+    runs.append(Run(state, text, stamp_ns, stamp_ns))
+
+
+_ADD: dict[str, Callable[[Health, str, Any], None]] = {
+    NodeHealth.DESCRIPTOR.full_name: _add_node,
+    DeviceHealth.DESCRIPTOR.full_name: _add_device,
+    Loss.DESCRIPTOR.full_name: _add_loss,
+    Log.DESCRIPTOR.full_name: _add_log,
+    ClockReference.DESCRIPTOR.full_name: _add_clock,
+}
+HEALTH_TYPES = frozenset(_ADD)
+"""Full names of the message types that tell how the system is doing."""
