@@ -27,17 +27,13 @@ from tramstream.bridges.simulated import (
     Faults,
 )
 from tramstream.clock import S
-from tramstream.receiver import Fixes, Gnss, GnssErrors
+from tramstream.geodesy import PRAGUE_GEOID_M
+from tramstream.receiver import GPS_MINUS_UNIX_S, LEAP_SECONDS, Fixes, Gnss, GnssErrors
 from tramstream.ride import Ride
 
-GPS_MINUS_UNIX_S = -315_964_800 + 18
-"""GPS time counts from 1980-01-06 and is 18 leap seconds ahead of UTC (since 2017)."""
-LEAP_SECONDS = 18
 CLOCK_AHEAD_NS = 37_500_000
 WEEK_S = 604_800
 UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-GEOID_M = 44.5
-"""EGM96 undulation in Prague, rounded."""
 PIECE_S = 0.001
 """The host's serial driver hands bytes over about this often."""
 SKY = tuple(
@@ -174,7 +170,7 @@ def _pvt(epoch: Epoch, errors: GnssErrors) -> dict[str, Any]:
         "lon": longitude_deg,
         "lat": latitude_deg,
         "height": round(height_m * 1e3),
-        "hMSL": round((height_m - GEOID_M) * 1e3),
+        "hMSL": round((height_m - PRAGUE_GEOID_M) * 1e3),
         "hAcc": round(math.sqrt(2) * errors.horizontal_std_m * 1e3),
         "vAcc": round(errors.vertical_std_m * 1e3),
         "velN": round(north * 1e3),

@@ -111,6 +111,8 @@ device = "/dev/serial/by-id/usb-tramstream_imu-if00"
 # how well that is known on each axis; the filter estimates the rest.
 #mounting_deg = [0.0, 0.0, 0.0]
 #mounting_std_deg = 1.0
+# How well its stamps are known: a delay found between fixes and IMU is shared by this.
+#delay_std_s = 0.002
 # Noise of the sensor: white, and the walk of its bias; then the bias when it is switched on.
 #gyro_noise_radps_rthz = 0.00011344
 #gyro_walk_radps2_rthz = 0.00007563
@@ -209,10 +211,18 @@ signal = "MOTOR_FORCE"
 #model = "tram"
 # Share of time that the true error may exceed the published protection level.
 #integrity_risk = 0.001
-# How a wheel creeps (deviation after a metre of way), and what of the specific force along the
-# track is no motion (the body's pitching, vibration).
+# How a wheel creeps (deviation after a metre of way), what of the specific force along the track is
+# no motion (the body's pitching, vibration), and what across is neither curve nor cant.
 #wheel_creep_m_rtm = 0.0002
 #force_std_mps2_rthz = 0.003
+#sway_std_mps2_rthz = 0.002
+# Way to the side and upwards after a second, which walks; none to the side on rails.
+#side_slip_std_m_rts = 0.0
+#heave_std_m_rts = 0.002
+# The origin before the point that does not slip sideways (a bogie, a rear axle), and how well that
+# is known; the filter learns the rest.
+#pivot_m = 0.0
+#pivot_std_m = 0.0
 # Without an IMU: how the speed and the track's tilt may change.
 #acceleration_std_mps2_rthz = 0.7
 #tilt_std_rad_rts = 0.005

@@ -128,6 +128,7 @@ class Timeline:
             x_axis_type="datetime",
         )
         plot.window_axis = "x"
+        plot.yaxis.formatter.power_limit_low = -5
         plot.yaxis.axis_label = unit
         clock_axis(plot)
         plot.min_border_left = SMALL_MARGIN if small else MARGIN
@@ -252,7 +253,7 @@ def _draw(plot: Any, timeline: Timeline, trace: Trace, points: int) -> list[Any]
     """What a trace consists of; the line or the dots come last."""
     series = {"value": trace.value} if trace.value is not None else {}
     if trace.band is not None:
-        low, high = trace.band if trace.edges else _cut(trace.band, trace.value)
+        low, high = _cut(trace.band, trace.value)
         series |= {"low": low, "high": high}
     stamp_ns, table = trace.stamp_ns, np.stack(list(series.values()), axis=1)
     if not trace.dots:

@@ -83,8 +83,8 @@ def add_errors(page: Page, material: Material, judged: Judged, timeline: Timelin
     page.section("Errors against the truth")
     if not judged:
         page.absent(
-            "No truth, no errors. Whether the filter is consistent with what it was told stands "
-            "under Measurements."
+            "Errors need a truth and an estimate of the same time. Whether the filter agrees with "
+            "what it was told stands under Measurements."
         )
         return
     page.note(
@@ -118,7 +118,9 @@ def add_errors(page: Page, material: Material, judged: Judged, timeline: Timelin
 
 def _bounds(errors: Errors, name: str) -> list[Trace]:
     """What the filter itself says of its error: ± 2σ and protection level."""
-    std, level = _stated(errors, name), None
+    # Where an error is not judged (a heading that is not known yet) nor is what is stated of it.
+    std = np.where(np.isfinite(_column(errors, name)), _stated(errors, name), np.nan)
+    level = None
     if name in ("along_m", "across_m"):
         level = errors.protection_m[:, 0 if name == "along_m" else 1]
     found = []

@@ -1,4 +1,4 @@
-"""Figures of the system's health: states of nodes and devices, and how steadily keys came."""
+"""Figures of the system's health: states of filter, nodes and devices, and how keys came."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from bokeh.models import ColumnDataSource, FactorRange, HoverTool, LegendItem
 from tramstream import keys
 from tramstream.cli.report_charts import (
     BAD,
+    CALM,
     FILTER,
     GNSS,
     OTHER,
     SOFT,
+    WHEELS,
     Timeline,
     clock_axis,
     legend,
@@ -24,9 +26,10 @@ from tramstream.cli.report_charts import (
 from tramstream.cli.report_material import Material
 from tramstream.cli.report_page import Page
 from tramstream.clock import S
+from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.health_pb2 import DeviceHealth, Loss, NodeHealth
 from tramstream.recorder.health import Health, Run
-from tramstream.series import Array, Instants
+from tramstream.series import Array, Instants, StateSeries
 
 ROW_PX = 24
 MOST_ROWS = 200
@@ -34,8 +37,12 @@ MOST_ROWS = 200
 COLOURS = {
     "OK": OTHER,
     "OPEN": OTHER,
+    "TRACKING": OTHER,
+    "STARTING": CALM,
+    "HEADING_UNKNOWN": WHEELS,
     "DEGRADED": GNSS,
     "SILENT": GNSS,
+    "DEAD_RECKONING": GNSS,
     "FAILED": BAD,
     "LOST": BAD,
 }
@@ -45,11 +52,12 @@ TOLERANCE, EDGES = 0.1, 1.5
 """A bin whose count is off by no more than a tenth, or by a message at either edge, is steady."""
 
 
-def states_figure(timeline: Timeline, health: Health) -> Any:
+def states_figure(timeline: Timeline, health: Health, states: StateSeries | None) -> Any:
     """One row a node or device, coloured by its state; nothing where it was silent."""
-    rows = {f"{name}": runs for name, runs in sorted(health.nodes.items())}
+    rows = {"filter": mode_runs(states)} if states is not None else {}
+    rows |= {f"{name} node": runs for name, runs in sorted(health.nodes.items())}
     rows |= {f"{name} device": runs for name, runs in sorted(health.devices.items())}
-    plot = _rows_figure("Nodes and devices", timeline, list(rows))
+    plot = _rows_figure("", timeline, list(rows))
     by_state: dict[str, list[tuple[str, Run]]] = {}
     for name, runs in rows.items():
         for run in runs:
@@ -62,16 +70,31 @@ def states_figure(timeline: Timeline, health: Health) -> Any:
                 "row": [name for name, _ in bars],
                 "start": timeline.ms(np.array([run.start_ns for _, run in bars])),
                 "end": timeline.ms(np.array([run.end_ns for _, run in bars])),
-                "state": [state.lower()] * len(bars),
+                "state": [_said(state)] * len(bars),
                 "text": [run.text for _, run in bars],
             }
         )
         style = {"height": 0.6, "fill_color": COLOURS[state], "line_color": None}
         drawn.append(plot.hbar("row", left="start", right="end", source=source, **style))
-        items.append(LegendItem(label=state.lower(), renderers=[drawn[-1]]))
+        items.append(LegendItem(label=_said(state), renderers=[drawn[-1]]))
     legend(plot, items)
     _add_hover(timeline, plot, drawn, "<b>@row</b> @state @text", "@start")
     return plot
+
+
+def mode_runs(states: StateSeries) -> list[Run]:
+    """How the filter went on: starting, tracking, dead reckoning."""
+    mode, stamp_ns = states.mode, states.stamp_ns
+    starts = np.flatnonzero(np.append(True, mode[1:] != mode[:-1]))
+    ends = np.append(starts[1:], len(mode) - 1)
+    return [
+        Run(MotionState.Mode.Name(int(mode[a])), "", int(stamp_ns[a]), int(stamp_ns[b]))
+        for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def _said(state: str) -> str:
+    return state.lower().replace("_", " ")
 
 
 def rates_figure(timeline: Timeline, edges_ns: Instants, rates_hz: Mapping[str, Array]) -> Any:
@@ -149,10 +172,10 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
     """States, losses, what nodes had to say, and every key."""
     health = material.health
     page.section("Health")
-    if health.nodes or health.devices:
-        page.figures([states_figure(timeline, health)])
-        _add_tables(page, health)
-    else:
+    if health.nodes or health.devices or material.states is not None:
+        page.figures([states_figure(timeline, health, material.states)])
+    _add_tables(page, health)
+    if not health.nodes:
         page.absent("No heartbeats in the record: states of nodes and devices are not known.")
     page.heading("Losses")
     if health.losses:

@@ -67,11 +67,17 @@ class Page:
         self._body.append(f"<h3>{escape(text)}</h3>")
 
     def figures(self, figures: Sequence[Any], beside: str = "") -> None:
-        """Place figures below each other, or beside each other: as `many` as fit, or `two`."""
+        """Place figures below each other, or beside each other: as `many` as fit, or `two`.
+
+        None leaves its place empty.
+        """
         self._body.append(f'<div class="figures {beside}">')
         for figure in figures:
-            self._body += ["<div>", len(self._figures), "</div>"]
-            self._figures.append(figure)
+            self._body.append("<div>")
+            if figure is not None:
+                self._body.append(len(self._figures))
+                self._figures.append(figure)
+            self._body.append("</div>")
         self._body.append("</div>")
 
     def overview(self, figure: Any) -> None:

@@ -26,7 +26,7 @@ from tramstream.cli.report_page import Page
 from tramstream.clock import S
 from tramstream.consistency import chi_square_interval
 from tramstream.evaluation import COURSE_SPEED_MPS
-from tramstream.series import Array, Innovations, Slot, StateSeries, wrapped_rad
+from tramstream.series import Array, Innovations, Instants, Slot, StateSeries, wrapped_rad
 
 NIS_WINDOW_S, NIS_LEAST = 20.0, 20
 """The rolling mean of NIS spans about so long, and never fewer measurements."""
@@ -199,24 +199,26 @@ def _measurement(all_: Innovations, index: int, name: str, timeline: Timeline) -
         Trace(title, stamp_ns[accepted], value[accepted], FILTER, dots=True),
         Trace("refused", stamp_ns[~accepted], refused.clip(-edge, edge), BAD, dots=True),
     ]
-    figures = [timeline.figure(f"{title}: {count}", "innovation", traces, small=True)]
+    figure = timeline.figure(f"{title}: {count}", "innovation", traces, small=True)
     nis = value[accepted] ** 2 / variance[accepted]
-    times = stamp_ns[accepted]
-    if len(nis) >= 2 * NIS_LEAST:
-        span_s = max((times[-1] - times[0]) / S, 1.0)
-        window = min(max(round(len(nis) / span_s * NIS_WINDOW_S), NIS_LEAST), len(nis) // 2)
-        sums = np.cumsum(np.concatenate([[0.0], nis]))
-        mean = (sums[window:] - sums[:-window]) / window
-        low, high = (bound / window for bound in chi_square_interval(window))
-        middle = times[window // 2 : window // 2 + len(mean)]
-        edges = (np.full(len(mean), low), np.full(len(mean), high))
-        traces = [
-            Trace("95 %", middle, None, SMOOTHED, edges),
-            Trace("NIS", middle, mean, FILTER),
-        ]
-        label = f"{title}: NIS, mean of {window}"
-        figures.append(timeline.figure(label, "NIS", traces, small=True))
-    return figures
+    return [figure, _nis(title, stamp_ns[accepted], nis, timeline)]
+
+
+def _nis(title: str, stamp_ns: Instants, nis: Array, timeline: Timeline) -> Any:
+    """Rolling mean of NIS with its bounds; None for too few."""
+    if len(nis) < 2 * NIS_LEAST:
+        return None
+    span_s = max((stamp_ns[-1] - stamp_ns[0]) / S, 1.0)
+    window = min(max(round(len(nis) / span_s * NIS_WINDOW_S), NIS_LEAST), len(nis) // 2)
+    sums = np.cumsum(np.concatenate([[0.0], nis]))
+    mean = (sums[window:] - sums[:-window]) / window
+    low, high = (bound / window for bound in chi_square_interval(window))
+    middle = stamp_ns[window // 2 : window // 2 + len(mean)]
+    traces = [
+        Trace("95 %", middle, None, SMOOTHED, (np.full(len(mean), low), np.full(len(mean), high))),
+        Trace("NIS", middle, mean, FILTER),
+    ]
+    return timeline.figure(f"{title}: NIS, mean of {window}", "NIS", traces, small=True)
 
 
 def _band(value: Array, std: Array | None) -> tuple[Array, Array] | None:

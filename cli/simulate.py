@@ -59,15 +59,8 @@ def simulate(
     began_s = time.perf_counter()
     labels = {"scenario": scenario, "seed": str(seed), "line": line or "built-in"}
     result = _write(ride, out, labels, stop, say)
-    elapsed_s = time.perf_counter() - began_s
-    result |= {
-        "out": str(out),
-        **labels,
-        "seed": seed,
-        "length_m": track.length_m,
-        "stops": len(track.stops_m),
-        "elapsed_s": elapsed_s,
-    }
+    result |= {"out": str(out), **labels, "seed": seed, "length_m": track.length_m}
+    result |= {"stops": len(track.stops_m), "elapsed_s": time.perf_counter() - began_s}
     if json_:
         print(json.dumps(result))
         return
@@ -75,7 +68,7 @@ def simulate(
         say(f"{key:28} {count:8d}")
     print(
         f"{out}: {result['duration_s']:.1f} s of {track.length_m / 1000:.2f} km, "
-        f"{sum(result['messages'].values())} messages in {elapsed_s:.1f} s"
+        f"{sum(result['messages'].values())} messages in {result['elapsed_s']:.1f} s"
     )
 
 

@@ -12,7 +12,7 @@ import cmath
 import math
 from typing import Any
 
-LEAST_WAY_M = 3.0
+LEAST_WAY_M = 1.0
 ENOUGH_RAD = 0.1
 """How well the heading must be known; the filter does the rest."""
 WHITE_SHARE = 0.1

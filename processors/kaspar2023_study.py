@@ -1,16 +1,16 @@
 """The simulated ride of kaspar2023 through localisation filters: the figures of the work.
 
-A ride is simulated in memory, goes through the resampler, and each frame of it to every model. What
-the models say is held to the truth twenty times a second. The work does not say how the errors of
-its fixes hang together; so besides our reading (0.95 per second, theory.md section 3) there are
-rides with white errors of the same size.
+A ride is simulated in memory, goes through the resampler, and each frame of it to a localisation
+filter of every model. What they say is held to the truth twenty times a second. The work does not
+say how the errors of its fixes hang together; so besides our reading (0.95 per second, theory.md
+section 3) there are rides with white errors of the same size.
 """
 
 from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,16 +18,16 @@ import numpy as np
 from msgspec.structs import replace
 
 from tramstream import consistency, evaluation, keys, line_geojson, scenario
-from tramstream.clock import S
+from tramstream.config import Vehicle
 from tramstream.consistency import NEES_SLOTS, Protection
 from tramstream.evaluation import MotionErrors
 from tramstream.geodesy import LocalLevel
 from tramstream.line import Line, built_in_line
-from tramstream.localisation import Estimate, Localiser
-from tramstream.processors.models import MODELS
+from tramstream.processor import Sample
+from tramstream.processors.ekf import LocalisationFilter
 from tramstream.processors.resampler import Resampler
+from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
-from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.scenario import SIDES
 from tramstream.series import (
     Array,
@@ -45,7 +45,6 @@ BUILT_IN = "built-in"
 WORK = "kaspar2023"
 EVERY = 5
 """Judged frames: at 20 Hz no error changes between one and the next."""
-PROGRESS_FRAMES = 20_000
 
 PUBLISHED = {
     "position_p90_map_m": 0.45,
@@ -78,7 +77,7 @@ class Figures(NamedTuple):
     white: bool
     steps: int
     step_us: float
-    """Processor time of the model alone, this machine."""
+    """Processor time of the filter with its message, this machine."""
     gnss_p90_m: float
     """Horizontal, raw fixes."""
     position_p90_m: float
@@ -118,34 +117,19 @@ def simulation_of(case: Case) -> Simulation:
     return Simulation(line_of(case.line), chosen, case.seed, case.duration_s)
 
 
-def study(
-    case: Case, models: Sequence[str], progress: Callable[[float], None] | None = None
-) -> list[Figures]:
-    """Run one ride through every model.
-
-    Parameters
-    ----------
-    case : Case
-    models : sequence of str
-        Names of `processors.models.MODELS`.
-    progress : callable, optional
-        Is told the share of the ride that is done.
-    """
+def study(case: Case, models: Sequence[str]) -> list[Figures]:
+    """Run one ride through every model, by their names in `processors.models`."""
     simulation = simulation_of(case)
-    runs = [_Run(MODELS[name](simulation.vehicle)) for name in models]
+    runs = [_Run(name, simulation.vehicle) for name in models]
     fixes: list[GnssFix] = []
-    first_ns = 0
     for number, frame in enumerate(_frames(simulation, fixes)):
         for run in runs:
             run.take(frame, number % EVERY == 0)
-        first_ns = first_ns or frame.stamp_ns
-        if progress is not None and number % PROGRESS_FRAMES == 0:
-            progress((frame.stamp_ns - first_ns) / S / simulation.duration_s)
     raw = _fix_errors(simulation, fixes)
     return [_figures(case, simulation, run, raw) for run in runs]
 
 
-def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[SyncFrame]:
+def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[Sample]:
     """Frames of the ride; its fixes are appended on the way."""
     resampler = Resampler(simulation.vehicle)
     for sample in simulation.samples():
@@ -155,41 +139,48 @@ def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[SyncFrame]
             fixes.append(sample.message)
         for released in resampler.step(sample):
             if released.key is keys.SYNC_FRAME:
-                yield released.message
+                yield released
 
 
 class _Run:
     """A model on its way: what it said, in flat columns, and the time that it took."""
 
-    def __init__(self, model: Localiser) -> None:
+    def __init__(self, model: str, vehicle: Vehicle) -> None:
         self.model = model
         self.steps = 0
         self.elapsed_s = 0.0
         self.stamp_ns = array("q")
         self.numbers = array("d")
         self.covariance = array("d")
+        self._filter = LocalisationFilter(replace(vehicle, ekf=replace(vehicle.ekf, model=model)))
 
-    def take(self, frame: SyncFrame, judged: bool) -> None:
+    def take(self, frame: Sample, judged: bool) -> None:
         begin_s = time.thread_time()
-        estimate = self.model.take(frame)
+        outputs = self._filter.step(frame)
         self.elapsed_s += time.thread_time() - begin_s
         self.steps += 1
-        if estimate is not None and judged:
-            self._keep(estimate)
+        for output in outputs:
+            if judged and output.key is keys.EST_STATE:
+                self._keep(output.message)
 
-    def _keep(self, estimate: Estimate) -> None:
-        self.stamp_ns.append(estimate.stamp_ns)
-        self.numbers.extend(estimate.p_l)
-        self.numbers.extend((estimate.roll_rad, estimate.pitch_rad, estimate.yaw_rad))
-        self.numbers.extend((estimate.speed_mps, estimate.acceleration_mps2))
-        self.numbers.extend((estimate.yaw_rate_radps, estimate.mode, estimate.standing))
-        self.covariance.extend(estimate.covariance.ravel().tolist())
+    def _keep(self, state: MotionState) -> None:
+        self.stamp_ns.append(state.stamp_ns)
+        self.numbers.extend((state.latitude_deg, state.longitude_deg, state.height_ellipsoid_m))
+        self.numbers.extend((state.roll_rad, state.pitch_rad, state.yaw_rad))
+        self.numbers.extend((state.speed_mps, state.acceleration_mps2, state.yaw_rate_radps))
+        self.numbers.extend((state.mode, state.standing))
+        self.numbers.extend((state.protection_along_m, state.protection_across_m))
+        self.covariance.extend(state.covariance)
 
     def states(self, level: LocalLevel) -> StateSeries:
-        """Columns with positions in the frame of the truth; its axes differ by microradians."""
-        columns = np.frombuffer(self.numbers).reshape(len(self.stamp_ns), -1)
-        own = self.model.level
-        geodetic = own.to_geodetic(columns[:, :3]) if own else np.empty((0, 3))
+        """What it said as columns, positions in `level`."""
+        count = len(self.stamp_ns)
+        columns = np.frombuffer(self.numbers).reshape(count, -1)
+        geodetic = _geodetic(columns[:, :3])
+        triangle = np.frombuffer(self.covariance).reshape(count, -1)
+        covariance = np.empty((count, len(Slot), len(Slot)))
+        rows, columns_of = np.triu_indices(len(Slot))
+        covariance[:, rows, columns_of] = covariance[:, columns_of, rows] = triangle
         return StateSeries(
             stamp_ns=np.frombuffer(self.stamp_ns, dtype=np.int64),
             geodetic=geodetic,
@@ -198,10 +189,10 @@ class _Run:
             acceleration_mps2=columns[:, 7],
             attitude_rad=columns[:, 3:6],
             yaw_rate_radps=columns[:, 8],
-            covariance=np.frombuffer(self.covariance).reshape(-1, len(Slot), len(Slot)),
+            covariance=covariance,
             mode=columns[:, 9].astype(np.int64),
             standing=columns[:, 10] != 0.0,
-            protection_m=np.full((len(columns), 2), np.nan),
+            protection_m=columns[:, 11:13],
             innovations=_NO_INNOVATIONS,
         )
 
@@ -216,23 +207,31 @@ _NO_INNOVATIONS = Innovations(
 )
 
 
+def _geodetic(rows: Array) -> Array:
+    """Latitude, longitude, height: degrees to radians."""
+    return rows * (np.pi / 180.0, np.pi / 180.0, 1.0)
+
+
 def _truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
+    """The truth, its yaw against east of the place, as that of the states."""
+    level = simulation.line.level
     truth = simulation.truth(stamp_ns)
     motion = truth.motion
-    attitude = np.stack([motion.roll_rad, motion.pitch_rad, motion.yaw_rad], axis=1)
+    latitude, longitude, _ = level.to_geodetic(truth.p_l).T
+    convergence = (longitude - level.longitude_rad) * np.sin(latitude)
+    attitude = np.stack([motion.roll_rad, motion.pitch_rad, motion.yaw_rad - convergence], axis=1)
     unknown = np.full(len(stamp_ns), np.nan)
     return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, wrapped_rad(attitude), unknown)
 
 
 def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
     rows = [(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m) for fix in fixes]
-    geodetic = np.array(rows) * (np.pi / 180.0, np.pi / 180.0, 1.0)
     stamp_ns = np.array([fix.stamp_ns for fix in fixes])
     unknown = np.full(len(fixes), np.nan)
     series = FixSeries(
         stamp_ns=stamp_ns,
         valid=np.array([fix.valid for fix in fixes]),
-        p_l=simulation.line.level.from_geodetic(geodetic),
+        p_l=simulation.line.level.from_geodetic(_geodetic(np.array(rows))),
         speed_mps=unknown,
         course_yaw_rad=unknown,
     )
@@ -253,7 +252,7 @@ def _figures(case: Case, simulation: Simulation, run: _Run, raw: MotionErrors) -
         return float(getattr(found, name)) if found else float("nan")
 
     return Figures(
-        model=run.model.name,
+        model=run.model,
         line=case.line,
         seed=case.seed,
         wheels=case.wheels,

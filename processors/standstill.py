@@ -35,6 +35,13 @@ LEARNING_S = 20.0
 SEPARATION = 2.0
 """The shaking must differ by this factor between running and standing to be of use."""
 RUNNING_MPS = 2.0
+PUSH_MPS2 = 0.12
+"""Change of the mean specific force along the track that sets a vehicle going: without wheels the
+first thing to be seen."""
+SETTLING_S = 5.0
+RUN_S = 3.0
+"""Without wheels, a vehicle that has left does not stand again before this: at walking pace its
+shaking is still that of standing."""
 GNSS_AGE_S = 2.5
 
 
@@ -59,6 +66,7 @@ class Standstill:
         self._wheel_ns = 0  # last reading of the wheels
         self._turned_ns = 0  # last reading with a turn
         self._quiet_ns = 0  # since when the inertial sensor agrees
+        self._still_force = 0.0  # along the track, while standing
         self._gnss_mps = math.inf
         self._gnss_ns = 0
         self._still_level = 0.0  # log of the shaking while standing, while running; 0: not known
@@ -109,8 +117,11 @@ class Standstill:
             standing = self._by_wheels(stamp_ns, speed_mps)
         else:
             standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
+            if standing and not self.standing and self.since_ns:
+                standing = stamp_ns - self.since_ns > RUN_S * S
         if standing != self.standing:
             self.standing, self.since_ns = standing, stamp_ns
+            self._still_force = float(self._statistics[0, 3])
         return standing
 
     def _by_wheels(self, stamp_ns: int, speed_mps: float) -> bool:
@@ -126,7 +137,7 @@ class Standstill:
             self._statistics[0] = u[:6]
             self._started, self._quiet_ns = True, stamp_ns
         smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
-        (_, _, rate, _, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
+        (_, _, rate, force, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
         level = 0.5 * math.log(x + y + z + 1e-12)
         known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
         slow = self._gnss_mps if known else abs(speed_mps)
@@ -135,7 +146,10 @@ class Standstill:
             self._running_level = _blend(self._running_level, level, weight)
         if self.standing and slow < CREEP_MPS:
             self._still_level = _blend(self._still_level, level, weight)
-        if not self._quiet(level, rate - bias_z, slow):
+        pushed = self.standing and abs(force - self._still_force) > PUSH_MPS2
+        self._still_force += dt_s / SETTLING_S * (force - self._still_force)
+        limit = 2.0 * CREEP_MPS if known else RUNNING_MPS
+        if pushed or slow > limit or not self._quiet(level, rate - bias_z, slow):
             self._quiet_ns = stamp_ns
 
     def _quiet(self, level: float, rate: float, slow: float) -> bool:
@@ -144,7 +158,7 @@ class Standstill:
             return False
         still, running = self._still_level, self._running_level
         if still and running and running - still > math.log(SEPARATION):
-            return level < 0.5 * (still + running) and not slow > RUNNING_MPS
+            return level < 0.5 * (still + running)
         return slow < CREEP_MPS
 
     # Memory --------------------------------------------------------------------------------------

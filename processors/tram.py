@@ -32,7 +32,7 @@ from tramstream.processors.standstill import Standstill
 from tramstream.processors.tram_estimate import at_fix, estimate_of, without_heading
 from tramstream.processors.tram_fixes import antenna_l, unusable
 from tramstream.processors.tram_navigation import Navigation
-from tramstream.processors.tram_states import SIZE, UNITS, Ix
+from tramstream.processors.tram_states import SIZE, UNITS, Ix, Pm
 from tramstream.processors.tram_wheels import counted
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -279,7 +279,8 @@ class TramLocaliser:
             since_ns = self._stamp_ns - navigation.fixes.accepted_ns
             mode = Mode.DEAD_RECKONING if since_ns > LOST_S * S else Mode.TRACKING
         memory = navigation.ekf.memory
-        estimate = estimate_of(memory, self._stamp_ns, mode, standing, verdicts)
+        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
+        estimate = estimate_of(memory, share, self._stamp_ns, mode, standing, verdicts)
         if self._aligned:
             return estimate
         fix = self._last_fix
@@ -298,7 +299,8 @@ class TramLocaliser:
         if not self._aligned:
             return replace(last, stamp_ns=mean.stamp_ns, verdicts=[])
         m = self._ahead.predict(navigation.ekf, self._stamp_ns)
-        return estimate_of(m, mean.stamp_ns, last.mode, last.standing, [])
+        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
+        return estimate_of(m, share, mean.stamp_ns, last.mode, last.standing, [])
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation

@@ -17,10 +17,28 @@ NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 
 
 def estimate_of(
-    m: Array, stamp_ns: int, mode: Mode, standing: bool, verdicts: list[Verdict]
+    m: Array, share: float, stamp_ns: int, mode: Mode, standing: bool, verdicts: list[Verdict]
 ) -> Estimate:
+    """Give the motion of the vehicle's origin at the true time of `stamp_ns`.
+
+    The filter's own position is the pivot's, at the time that the inertial stamps mean: `share` of
+    the fixes' delay is theirs.
+    """
     east, north, up, speed, roll, pitch, yaw = m[MOTION].tolist()
     P = m[kernels.COVARIANCE].reshape(SIZE, SIZE)
+    covariance = P[MOTION, MOTION].copy()
+    pivot, early = float(m[Ix.PIVOT]), float(m[Ix.GNSS_DELAY]) * share
+    if mode != Mode.HEADING_UNKNOWN and (pivot != 0.0 or early != 0.0):
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        ahead = pivot - early * speed
+        east, north = east + ahead * cos, north + ahead * sin
+        T = np.zeros((len(covariance), SIZE))
+        T[:, MOTION] = np.eye(len(covariance))
+        T[Ix.EAST, Ix.YAW], T[Ix.NORTH, Ix.YAW] = -ahead * sin, ahead * cos
+        T[Ix.EAST, Ix.PIVOT], T[Ix.NORTH, Ix.PIVOT] = cos, sin
+        T[Ix.EAST, Ix.GNSS_DELAY] = -share * speed * cos
+        T[Ix.NORTH, Ix.GNSS_DELAY] = -share * speed * sin
+        covariance = T @ P @ T.T
     return Estimate(
         stamp_ns=stamp_ns,
         mode=mode,
@@ -32,7 +50,7 @@ def estimate_of(
         yaw_rad=math.remainder(yaw, math.tau),
         yaw_rate_radps=float(m[kernels.YAW_RATE]),
         standing=standing,
-        covariance=P[MOTION, MOTION].copy(),
+        covariance=covariance,
         verdicts=verdicts,
     )
 

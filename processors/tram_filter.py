@@ -26,10 +26,10 @@ PAIR_GATE = 30.0
 """Squared distance of a fix or a velocity that is refused: 3e-7 of honest ones."""
 PAIR_KNEE = 9.0
 """From here on it is weighted down: 1 % of honest ones."""
+DOUBT_STD_M = 0.3
+"""A fix that is off by less than a few of these is never an outlier, however sure the filter is."""
 SCALAR_GATE = 25.0
 """The same for scalars: 5 σ."""
-LATERAL_STD_MPS2 = 0.02
-"""Sway of the body that the model does not know, a reading of 10 ms."""
 STANDING_STD_MPS = 0.002
 QUANTISATION = 1.0 / 3.0
 """Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (theory.md 2)."""
@@ -51,16 +51,22 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
     c[Pm.SLIP_DENSITY] = vehicle.ekf.wheel_creep_m_rtm**2
     if vehicle.gnss is not None:
         c[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = vehicle.gnss.lever_arm_m
+    c[Pm.SIDE_DENSITY] = vehicle.ekf.side_slip_std_m_rts**2
+    c[Pm.HEAVE_DENSITY] = vehicle.ekf.heave_std_m_rts**2
     imu = vehicle.imu
-    c[Pm.LATERAL_VARIANCE] = LATERAL_STD_MPS2**2
+    c[Pm.LATERAL_VARIANCE] = vehicle.ekf.sway_std_mps2_rthz**2 / READING_S
     c[Pm.STANDING_VARIANCE] = STANDING_STD_MPS**2
     if imu is None:
         c[Pm.ACCEL_DENSITY] = vehicle.ekf.acceleration_std_mps2_rthz**2
         c[Pm.ROLL_DENSITY] = c[Pm.PITCH_DENSITY] = vehicle.ekf.tilt_std_rad_rts**2
         return c
     c[Pm.IMU_X : Pm.IMU_Z + 1] = imu.lever_arm_m
+    fixes = vehicle.gnss.delay_std_s**2 if vehicle.gnss is not None else 0.0
+    if fixes + imu.delay_std_s > 0.0:
+        c[Pm.CLOCK_SHARE] = imu.delay_std_s**2 / (fixes + imu.delay_std_s**2)
     c[Pm.ACCEL_DENSITY] = imu.accel_noise_mps2_rthz**2 + vehicle.ekf.force_std_mps2_rthz**2
     c[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1] = imu.gyro_noise_radps_rthz**2
+    c[Pm.LATERAL_VARIANCE] += imu.accel_noise_mps2_rthz**2 / READING_S
     c[Pm.READING_VARIANCE] = imu.gyro_noise_radps_rthz**2 / READING_S
     c[Pm.GYRO_WALK] = imu.gyro_walk_radps2_rthz**2
     c[Pm.ACCEL_WALK] = imu.accel_walk_mps3_rthz**2
@@ -87,7 +93,8 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self._out = np.zeros((3, 2))
         self._out_path = self._out[0]
         self._z = np.zeros(3)
-        self._R = np.zeros(2)
+        self._R = np.zeros(3)
+        self._R[2] = DOUBT_STD_M**2
 
     # filterpy keeps these as plain attributes; here they are views of the block of memory.
     @property

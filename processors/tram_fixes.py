@@ -24,6 +24,8 @@ UNSTATED_STD_M = 5.0
 """Of a fix whose receiver says nothing of its accuracy."""
 WHITE_SHARE = 0.1
 """Part of the deviation that neighbouring fixes do not share."""
+WHITE_FLOOR_M = 0.01
+"""Noise of a carrier-phase fix, which neighbours do not share."""
 NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
@@ -102,7 +104,9 @@ class Fixes:
         std, std_up = deviations(fix, self.floor_m)
         self._set_noise(ekf, std, std_up)
         z = antenna_l(fix, level)
-        verdicts = ekf.position(z, WHITE_SHARE * std, WHITE_SHARE * std_up)
+        verdicts = ekf.position(
+            z, max(WHITE_SHARE * std, WHITE_FLOOR_M), max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
+        )
         sentence = ""
         if verdicts[0].accepted:
             self._refused_ns = 0

@@ -20,7 +20,7 @@ from tramstream.kernels import Array, Indices, compiled, predict_covariance, upd
 from tramstream.processors.tram_states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
 
 ENTRY_COUNT = len(ENTRIES)
-_ROW_LENGTH = 8
+_ROW_LENGTH = 10
 """Most entries of a row of H."""
 _W = SIZE + SIZE * SIZE
 _K = _W + SIZE * SIZE
@@ -69,7 +69,7 @@ def acceleration(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) 
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
     gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
-    rx, ry, rz = c[Pm.IMU_X], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
     lever = -(wy * wy + wz * wz) * rx + wx * wy * ry + wx * wz * rz + u[7] * rz - u[8] * ry
     force = u[3] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
     return force - gravity - lever
@@ -203,6 +203,12 @@ def add_noise(x: Array, P: Array, c: Array, dt: float) -> None:
     P[Ix.PATH_B, Ix.PATH_B] += q * right * right + c[Pm.SLIP_DENSITY] * way
     P[Ix.SCALE_A, Ix.SCALE_A] += c[Pm.SCALE_WALK] * way
     P[Ix.SCALE_B, Ix.SCALE_B] += c[Pm.SCALE_WALK] * way
+    sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    side = c[Pm.SIDE_DENSITY] * dt
+    P[Ix.EAST, Ix.EAST] += side * sy * sy
+    P[Ix.NORTH, Ix.NORTH] += side * cy * cy
+    _couple(P, Ix.EAST, Ix.NORTH, -side * sy * cy)
+    P[Ix.UP, Ix.UP] += c[Pm.HEAVE_DENSITY] * dt
     P[Ix.SPEED, Ix.SPEED] += c[Pm.ACCEL_DENSITY] * dt
     P[Ix.GYRO_X, Ix.GYRO_X] += c[Pm.GYRO_WALK] * dt
     P[Ix.GYRO_Y, Ix.GYRO_Y] += c[Pm.GYRO_WALK] * dt
@@ -274,7 +280,7 @@ def inertial(m: Array, c: Array, u: Array, before: Array, gate: float) -> float:
     sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     g, v = c[Pm.GRAVITY], x[Ix.SPEED]
-    rx, ry, rz = c[Pm.IMU_X], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
     lever = wx * wy * rx - (wx * wx + wz * wz) * ry + wy * wz * rz + u[8] * rx - u[6] * rz
     tilt = x[Ix.NORTH] * math.cos(x[Ix.YAW]) - x[Ix.EAST] * math.sin(x[Ix.YAW])
     expected = v * wz + g * (cp * sr + tilt * c[Pm.CURVATURE]) + lever

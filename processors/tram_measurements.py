@@ -22,8 +22,10 @@ from tramstream.processors.tram_kernels import (
 )
 from tramstream.processors.tram_states import SIZE, Ix, Pm
 
-_EAST = slots(Ix.EAST, Ix.GNSS_EAST, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL)
-_NORTH = slots(Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL)
+_EAST = slots(Ix.EAST, Ix.GNSS_EAST, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT)
+_NORTH = slots(
+    Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT
+)
 _UP = slots(Ix.UP, Ix.GNSS_UP, Ix.GNSS_DELAY, Ix.SPEED, Ix.PITCH, Ix.ROLL)
 _VELOCITY = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.GYRO_Z)
 _WHEEL_A = slots(Ix.PATH_A, Ix.WHEEL_DELAY, Ix.SPEED)
@@ -35,7 +37,7 @@ _RIM_B = slots(Ix.SPEED, Ix.SCALE_B, Ix.GYRO_Z, Ix.WHEEL_DELAY)
 @compiled
 def _lever(x: Array, c: Array) -> tuple[float, float, float, float, float]:
     """C_lv p_va (east, north, up), and the lever resolved along and across the level heading."""
-    ax, ay, az = c[Pm.ANTENNA_X], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z]
+    ax, ay, az = c[Pm.ANTENNA_X] + x[Ix.PIVOT], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z]
     sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
@@ -53,8 +55,8 @@ def position(m: Array, c: Array, z: Array, R: Array, gate: float, knee: float, o
     ----------
     z : ndarray, shape (3,)
         Antenna in l, m.
-    R : ndarray, shape (2,)
-        White variance, horizontal and vertical, m².
+    R : ndarray, shape (3,)
+        White variance, horizontal and vertical, and what the gate adds to it, m².
     gate : float
         Greatest squared Mahalanobis distance that is accepted.
     knee : float
@@ -75,9 +77,10 @@ def position(m: Array, c: Array, z: Array, R: Array, gate: float, knee: float, o
     h[4], h[5], h[6] = -north + vn * delay, cy * az, sy * az
     h2[0], h2[1], h2[2], h2[3] = 1.0, 1.0, -vn, -sy * cp * delay
     h2[4], h2[5], h2[6] = east - ve * delay, sy * az, -cy * az
+    h[7], h2[7] = cy * cp, sy * cp
     out[0, 0] = z[0] - (x[Ix.EAST] + east + x[Ix.GNSS_EAST] - ve * delay)
     out[1, 0] = z[1] - (x[Ix.NORTH] + north + x[Ix.GNSS_NORTH] - vn * delay)
-    update_pair(x, P, _EAST, h, 7, _NORTH, h2, 7, R[0], gate, knee, K, out)
+    update_pair(x, P, _EAST, h, 8, _NORTH, h2, 8, R[0], R[2], gate, knee, K, out)
     _, _, up, along, across = _lever(x, c)
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     vu, delay = -x[Ix.SPEED] * sp, x[Ix.GNSS_DELAY]
@@ -104,7 +107,7 @@ def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, o
     h2[0], h2[1], h2[2], h2[3] = sy * cp, ve, -an, sy * across - cy * along
     out[0, 0] = z[0] - (ve - ae * delay)
     out[1, 0] = z[1] - (vn - an * delay)
-    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, gate, knee, K, out)
+    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, 0.0, gate, knee, K, out)
 
 
 @compiled

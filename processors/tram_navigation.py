@@ -31,7 +31,8 @@ GYRO_SCALE_STD = 0.003
 START_STD_M = 1000.0
 """Position before the first fix."""
 LEAVING_STD_MPS = 0.01
-"""Speed that standing may hide in its last moment."""
+BLIND_LEAVING_STD_MPS = 0.3
+"""Speed that standing may hide in its last moment, with wheels and without."""
 LEAST_STEP_S = 1e-6
 
 
@@ -75,12 +76,16 @@ class Navigation:
             std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
         else:
             std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
+        std[Ix.PIVOT] = vehicle.ekf.pivot_std_m
         std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
         std[Ix.WHEEL_DELAY] = wheels.delay_std_s
         if vehicle.gnss is not None:
-            std[Ix.GNSS_DELAY] = vehicle.gnss.delay_std_s
+            std[Ix.GNSS_DELAY] = math.hypot(
+                vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0
+            )
         self.ekf.P = np.diag(std**2)
         self.ekf.memory[Ix.WHEEL_DELAY] = wheels.delay_s
+        self.ekf.memory[Ix.PIVOT] = vehicle.ekf.pivot_m
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
@@ -127,7 +132,7 @@ class Navigation:
         """
         ekf = self.ekf
         if self.stood and not standing:
-            ekf.widen(Ix.SPEED, LEAVING_STD_MPS)
+            ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
         self.stood = standing
         verdicts: list[Verdict] = []
         if frame.gnss or frame.odometry:

@@ -21,7 +21,7 @@ import numpy as np
 class Ix(IntEnum):
     """Slots of the state vector."""
 
-    EAST = 0  # of the vehicle's origin in l, m
+    EAST = 0  # of the pivot in l, m
     NORTH = 1
     UP = 2
     SPEED = 3  # along x, negative backwards, m/s
@@ -45,6 +45,7 @@ class Ix(IntEnum):
     PATH_B = 21
     GNSS_DELAY = 22  # by which stamps are too late, s
     WHEEL_DELAY = 23
+    PIVOT = 24  # the vehicle's origin before the point that does not slip sideways, m
 
 
 SIZE = len(Ix)
@@ -67,6 +68,7 @@ UNITS = {
     Ix.SCALE_B: "1",
     Ix.GNSS_DELAY: "s",
     Ix.WHEEL_DELAY: "s",
+    Ix.PIVOT: "m",
 }
 """The slowly changing states, and their units."""
 
@@ -103,6 +105,9 @@ class Pm(IntEnum):
     STILL_PITCH_VARIANCE = 26
     STILL_YAW_VARIANCE = 27
     READING_VARIANCE = 29  # of one rate reading, (rad/s)²
+    SIDE_DENSITY = 30  # of the pivot's slip to the side, m²/s
+    HEAVE_DENSITY = 31  # of its heaving, m²/s
+    CLOCK_SHARE = 32  # part of the fixes' delay by which the inertial stamps are too early
     STILL_FORCE_VARIANCE = 28  # of a specific force of a vehicle that stands, (m/s²)²
 
 

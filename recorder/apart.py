@@ -10,7 +10,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from traceback import format_exc
 from typing import Any
@@ -34,8 +35,11 @@ _Expected = tuple[int, str, int, bytes]
 def part(processors: list[Processor]) -> tuple[list[Processor], list[Processor]]:
     """Part processors into those that read the record and those that read only what these make.
 
-    The second list is empty where they cannot be parted, or only one core is there.
+    The second list is empty where they cannot be parted, where only one core is there, and in a
+    process that may have no children (a worker of a pool).
     """
+    if len(os.sched_getaffinity(0)) == 1 or multiprocessing.current_process().daemon:
+        return processors, []
     made = {key.path for processor in processors for key in processor.outputs}
     first, behind = list[Processor](), list[Processor]()
     for processor in processors:
@@ -43,7 +47,7 @@ def part(processors: list[Processor]) -> tuple[list[Processor], list[Processor]]
         (behind if paths <= made else first).append(processor)
         if not paths <= made and not paths.isdisjoint(made):
             return processors, []
-    return (first, behind) if len(os.sched_getaffinity(0)) > 1 else (processors, [])
+    return first, behind
 
 
 class Followers:
@@ -58,7 +62,7 @@ class Followers:
     """
 
     def __init__(
-        self, processors: list[Processor], plan: Plan, take: Take, others: frozenset[str]
+        self, processors: list[Processor], plan: Plan, take: Take, others: Collection[str]
     ) -> None:
         self._processors, self._others = processors, others
         self._plan, self._take = plan, take
@@ -118,6 +122,19 @@ class _Sender:
         self._connection.send((self._groups, self._expected))
         self._groups, self._expected = [], []
 
+    def send(self, run: Reprocessor) -> None:
+        """Send everything, then what was missing or the exception that ended it."""
+        end: dict[str, int] | Exception = run.missing
+        try:
+            run.run()
+            self.flush()
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # noqa: BLE001  raised again on the other side
+            error.add_note(format_exc())
+            end = error
+        self._connection.send(end)
+
 
 def run_apart(
     record: Record,
@@ -134,26 +151,18 @@ def run_apart(
         As `Reprocessor.run`, or if the other process was killed.
     """
     first, behind = processors
-    names = [frozenset(processor.name for processor in each) for each in processors]
+    names = [{processor.name for processor in each} for each in processors]
     here, there = multiprocessing.Pipe(duplex=False)
+    sender = _Sender(there)
+    run = Reprocessor(record, first, plan, sender.take, names[1])
+    if expect is not None:
+        run.compare(sender.expect, {key.path for each in behind for key in each.outputs})
 
     def work() -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process is told by the pipe
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipe's end tells this process to end
         here.close()
-        sender = _Sender(there)
-        outputs = frozenset(key.path for processor in behind for key in processor.outputs)
-        run = Reprocessor(record, first, plan, sender.take, names[1])
-        if expect is not None:
-            run.compare(sender.expect, outputs)
-        try:
-            run.run()
-            sender.flush()
-            there.send(run.missing)
-        except BrokenPipeError:
-            pass  # nobody wants the rest
-        except Exception as error:  # noqa: BLE001  raised again on the other side
-            error.add_note(format_exc())
-            there.send(error)
+        with suppress(BrokenPipeError):
+            sender.send(run)
 
     process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
     process.start()

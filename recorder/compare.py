@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from tramstream import keys
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""
+TOLD = 10
+"""So many differences are described; the others are counted."""
 
 
 @dataclass
@@ -54,9 +58,10 @@ class Comparison:
                 self.unanchored += len(waiting)
             else:
                 for sequence, _ in waiting:
-                    self._differ(f"{path} sequence {sequence}: recorded, but not made again")
+                    self._differ(_missed, path, sequence)
 
     def _settle(self, place: tuple[int, str]) -> None:
+        _, path = place
         made = self._made.get(place)
         expected = self._expected.get(place)
         while made and expected:
@@ -67,18 +72,22 @@ class Comparison:
                 self.unrecorded += 1
             elif ours > theirs:
                 expected.popleft()
-                self._differ(f"{place[1]} sequence {theirs}: recorded, but not made again")
+                self._differ(_missed, path, theirs)
             else:
                 made.popleft()
                 expected.popleft()
                 self.compared += 1
                 if payload != recorded:
-                    self._differ(_describe(place[1], ours, payload, recorded))
+                    self._differ(_describe, path, ours, payload, recorded)
 
-    def _differ(self, text: str) -> None:
+    def _differ(self, describe: Callable[..., str], *arguments: Any) -> None:
         self.difference_count += 1
-        if len(self.differences) < 10:
-            self.differences.append(text)
+        if len(self.differences) < TOLD:
+            self.differences.append(describe(*arguments))
+
+
+def _missed(path: str, sequence: int) -> str:
+    return f"{path} sequence {sequence}: recorded, but not made again"
 
 
 def _describe(path: str, sequence: int, payload: bytes, recorded: bytes) -> str:

@@ -269,5 +269,7 @@ def test_wheel_holds_tramstream_and_nothing_else(tmp_path: Path) -> None:
     for package in ("bridges", "processors", "recorder", "cli", "proto"):
         assert f"tramstream/{package}/__init__.py" in names
     assert "tramstream/py.typed" in names
+    for path in (ROOT / "tramstream" / "data").rglob("*.*"):
+        assert str(path.relative_to(ROOT)) in names
     for path in generate.HERE.glob("*.proto"):
         assert f"tramstream/proto/{path.name}" in names

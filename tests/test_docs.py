@@ -51,3 +51,12 @@ def test_example_configurations_load() -> None:
 
     for path in (REPOSITORY / "docs").glob("*.toml"):
         assert load(path).vehicle == tomllib.loads(path.read_text())["vehicle"]
+
+
+def test_scenario_of_the_simulation_page_is_one() -> None:
+    from tramstream.scenario import parse
+
+    page = (REPOSITORY / "docs" / "simulation.md").read_text()
+    scenario = parse(page.split("```toml\n")[1].split("```")[0].encode(), "simulation.md")
+    assert scenario.reverse
+    assert len(scenario.events) == 2

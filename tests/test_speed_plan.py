@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
@@ -19,7 +20,7 @@ LIMITS = Limits(lateral_mps2=0.5)
 
 def wavy(curvatures: list[float]) -> Line:
     """Track of 5 m pieces between these curvatures, with a stop in its middle."""
-    segments = [Segment(5.0, a, b) for a, b in zip(curvatures[:-1], curvatures[1:], strict=True)]
+    segments = [Segment(5.0, a, b) for a, b in pairwise(curvatures)]
     length_m = 5.0 * len(segments)
     return Line(segments, [0.0, 5.0 * (len(segments) // 2), length_m], LEVEL)
 

@@ -75,6 +75,9 @@ class Imu(Struct, frozen=True, kw_only=True):
     (theory.md section 1)."""
     mounting_std_deg: NotNegative = 1.0
     """How well `mounting_deg` is known on each axis; the filter estimates the rest."""
+    delay_std_s: NotNegative = 0.002
+    """How well its stamps are known: the part of a found delay between fixes and IMU that is the
+    IMU's, against `gnss.delay_std_s`."""
     gyro_noise_radps_rthz: Positive = 0.00011344
     """N of the ADIS16465 (theory.md section 3), as are the next three."""
     gyro_walk_radps2_rthz: Positive = 0.00007563
@@ -183,6 +186,16 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """Creep of a rolling wheel: deviation of its path after one metre; it walks."""
     force_std_mps2_rthz: NotNegative = 0.003
     """Specific force along the track that is no motion: the body's pitching, vibration."""
+    sway_std_mps2_rthz: NotNegative = 0.002
+    """Lateral specific force that is neither curve nor cant."""
+    side_slip_std_m_rts: NotNegative = 0.0
+    """Way to the side after a second, which walks: none on rails, centimetres on a road."""
+    heave_std_m_rts: NotNegative = 0.002
+    """The same upwards: springs, and the body's pitch against the track's."""
+    pivot_m: float = 0.0
+    """The vehicle's origin before the point that does not slip sideways: a bogie, a rear axle."""
+    pivot_std_m: NotNegative = 0.0
+    """How well that is known; the filter learns the rest."""
     acceleration_std_mps2_rthz: Positive = 0.7
     """How the speed may change where no accelerometer tells."""
     tilt_std_rad_rts: Positive = 0.005

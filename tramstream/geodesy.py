@@ -30,6 +30,8 @@ SOMIGLIANA_K = 0.00193185265241
 GRAVITY_M = 0.00344978650684
 """ω²a²b / GM: centrifugal to gravitational acceleration at the equator."""
 
+PRAGUE_GEOID_M = 44.5
+"""Height of the geoid (EGM96) above the ellipsoid in Prague, rounded."""
 _BOWRING_STEPS = 3
 """Below 1e-12 rad from 10 km under the ellipsoid to far beyond any tram."""
 

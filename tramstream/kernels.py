@@ -133,6 +133,11 @@ def update_scalar(
 
 
 @compiled
+def _distance(a: float, b: float, first: float, cross: float, second: float) -> float:
+    return (a * a * second - 2.0 * a * b * cross + b * b * first) / (first * second - cross * cross)
+
+
+@compiled
 def update_pair(
     x: Array,
     P: Array,
@@ -143,6 +148,7 @@ def update_pair(
     values2: Array,
     count2: int,
     variance: float,
+    doubt: float,
     gate: float,
     knee: float,
     K: Array,
@@ -159,6 +165,9 @@ def update_pair(
         The two rows of H; see `update_scalar`.
     variance : float
         R of each, without correlation.
+    doubt : float
+        Variance that is added to both for the gate alone: what is off by less is no outlier, but
+        a model that is not as good as it claims.
     knee, gate : float
         Squared Mahalanobis distances.
     out : ndarray, shape (≥ 2, 2)
@@ -185,11 +194,10 @@ def update_pair(
         for j in range(count2):
             second += values2[k] * P[columns2[k], columns2[j]] * values2[j]
     a, b = out[0, 0], out[1, 0]
-    determinant = first * second - cross * cross
-    distance = (a * a * second - 2.0 * a * b * cross + b * b * first) / determinant
-    if not distance <= gate:
+    if not _distance(a, b, first + doubt, cross, second + doubt) <= gate:
         out[0, 1], out[1, 1] = -first, -second
         return
+    distance = _distance(a, b, first, cross, second)
     if distance > knee:
         variance += (math.sqrt(distance / knee) - 1.0) * 0.5 * (first + second)
     out[0, 1] = update_scalar(x, P, columns, values, count, a, variance, math.inf, K)

@@ -22,15 +22,13 @@ from numpy.typing import NDArray
 
 from tramstream import line_fit
 from tramstream.errors import ConfigError
-from tramstream.geodesy import LocalLevel
+from tramstream.geodesy import PRAGUE_GEOID_M, LocalLevel
 from tramstream.line import Line, Relief, usual_cant
 from tramstream.line_fit import Course, fit
 from tramstream.profile import Profile
 
 Array = NDArray[np.float64]
 
-GEOID_M = 44.5
-"""EGM96 undulation in Prague, rounded."""
 STOP_NEAR_M = 30.0
 GRADE_MAX = 0.08
 _REVERSAL_RAD = 2.0
@@ -40,7 +38,9 @@ _SAME_M = 0.05
 _SHORTEST_M = 50.0
 _HEIGHT_STEP_M = 10.0
 _SMOOTH_M = 60.0
-"""First deviation of the Gaussian that smooths heights; SRTM3 has a pixel every 90 m."""
+"""Deviation of the Gaussian that smooths heights; SRTM3 has a pixel every 90 m."""
+_ROUNDS_MAX = 500
+"""Where it is still too steep, heights are smoothed again; a wall would take for ever."""
 _GRADE_KNOT_M = 20.0
 _STOPS_APART_M = 20.0
 
@@ -58,12 +58,12 @@ class Track:
     """By whose chainages; None: the length of the nodes' chain."""
 
 
-def load(source: str, geoid_m: float = GEOID_M) -> Line:
+def load(source: str, geoid_m: float = PRAGUE_GEOID_M) -> Line:
     """Read a track and lay a line along it; see `read`."""
     return lay(read(source, geoid_m))
 
 
-def read(source: str, geoid_m: float = GEOID_M) -> Track:
+def read(source: str, geoid_m: float = PRAGUE_GEOID_M) -> Track:
     """Read one track of a map.
 
     Raises
@@ -81,7 +81,7 @@ def read(source: str, geoid_m: float = GEOID_M) -> Track:
     return track(document, name, chosen, geoid_m)
 
 
-def track(document: Any, name: str, chosen: str = "", geoid_m: float = GEOID_M) -> Track:
+def track(document: Any, name: str, chosen: str = "", geoid_m: float = PRAGUE_GEOID_M) -> Track:
     """Pick one LineString of a GeoJSON document; see `read`."""
     features = _features(document)
     lines = [each for each in features if _geometry(each).get("type") == "LineString"]
@@ -201,15 +201,17 @@ def _geodetic(
         raise ConfigError(f"{where}: coordinates must read [[longitude, latitude], …]") from error
     if np.any(np.abs(degrees) > [180.0, 90.0]):
         raise ConfigError(f"{where}: coordinates must be longitude and latitude in degrees")
+    height = np.full(len(rows), geoid_m)
     heights = properties.get("srtm3_m")
     if heights is not None:
-        if not isinstance(heights, list) or len(heights) != len(rows):
+        try:
+            height = np.array([float(each) for each in heights]) + geoid_m
+        except (TypeError, ValueError):
+            height = np.full(1, np.nan)
+        if len(height) != len(rows) or not np.all(np.isfinite(height)):
             raise ConfigError(f"{where}: property srtm3_m must hold one height for each node")
-        height = np.array(heights, dtype=float) + geoid_m
-    elif all(len(row) > 2 for row in rows):
+    elif rows and all(len(row) > 2 for row in rows):
         height = np.array([row[2] for row in rows])
-    else:
-        height = np.full(len(rows), geoid_m)
     geodetic = np.column_stack([np.radians(degrees[:, ::-1]), height])
     if len(geodetic) == 0:
         raise ConfigError(f"{where}: has no coordinates")
@@ -234,7 +236,10 @@ def _points_beside(features: list[dict[str, Any]], geodetic: Array) -> list[floa
         geometry = _geometry(feature)
         if geometry.get("type") != "Point":
             continue
-        longitude_deg, latitude_deg = geometry["coordinates"][:2]
+        try:
+            longitude_deg, latitude_deg = (float(each) for each in geometry["coordinates"][:2])
+        except (KeyError, TypeError, ValueError):
+            continue  # a point of nowhere is beside no line
         point = level.from_geodetic(
             [np.radians(latitude_deg), np.radians(longitude_deg), level.height_m]
         )[:2]
@@ -270,18 +275,27 @@ def _slope(chainage: Array, heights: Array) -> tuple[Profile, float]:
     raw = np.interp(at, chainage, heights)
     if np.ptp(raw) == 0:
         return Profile.level(), float(raw[0])
-    smooth_m = _SMOOTH_M
-    while True:
-        reach = np.arange(-round(4 * smooth_m / step_m), round(4 * smooth_m / step_m) + 1)
-        weights = np.exp(-((reach * step_m / smooth_m) ** 2) / 2)
-        padded = np.pad(raw, len(reach) // 2, mode="edge")
-        smooth = np.convolve(padded, weights / weights.sum(), "valid")
+    smooth = _smoothed(raw, step_m)
+    for _ in range(_ROUNDS_MAX):
         grade = np.gradient(smooth, at)
-        if np.max(np.abs(grade)) <= GRADE_MAX:
+        steep = np.abs(grade) > GRADE_MAX
+        if not np.any(steep):
             break
-        smooth_m *= 1.25
+        around = np.clip(2 * _smoothed(steep.astype(float), step_m), 0, 1)
+        smooth = smooth + around * (_smoothed(smooth, step_m) - smooth)
+    grade = np.clip(np.gradient(smooth, at), -GRADE_MAX, GRADE_MAX)
     knots = np.linspace(0.0, chainage[-1], max(round(chainage[-1] / _GRADE_KNOT_M), 2) + 1)
     return Profile.through(knots, np.arctan(np.interp(knots, at, grade))), float(smooth[0])
+
+
+def _smoothed(values: Array, step_m: float) -> Array:
+    """Mean weighted by a Gaussian of `_SMOOTH_M`; the end values go on beyond the ends."""
+    reach = round(4 * _SMOOTH_M / step_m)
+    weights = np.exp(-((np.arange(-reach, reach + 1) * step_m / _SMOOTH_M) ** 2) / 2)
+    smooth: Array = np.convolve(
+        np.pad(values, reach, mode="edge"), weights / weights.sum(), "valid"
+    )
+    return smooth
 
 
 def _along_arc(slope: Profile, level_course: Course) -> Profile:

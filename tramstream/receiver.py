@@ -20,6 +20,11 @@ from tramstream.ride import Motion
 
 Array = NDArray[np.float64]
 
+LEAP_SECONDS = 18
+"""GPS time is ahead of UTC by so much since 2017."""
+GPS_MINUS_UNIX_S = -315_964_800 + LEAP_SECONDS
+"""GPS time counts from 1980-01-06."""
+
 
 class GnssErrors(Struct, frozen=True, kw_only=True):
     """Errors of the fixes; theory.md section 3 and its reading of the reference."""

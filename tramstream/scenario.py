@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from tramstream import config
+from tramstream import config, geodesy
 from tramstream.config import NotNegative, Positive, Struct, Vector, VehicleId
 from tramstream.errors import ConfigError
 from tramstream.inertial import ImuErrors, ImuScales
@@ -45,7 +45,6 @@ class Timing(Struct, frozen=True, kw_only=True):
 class Imu(Struct, frozen=True, kw_only=True):
     """The inertial sensor."""
 
-    model: Literal["ADIS16465-1", "ADIS16465-2", "ADIS16465-3"] = "ADIS16465-1"
     rate_hz: Positive = 2000.0
     batch: Annotated[int, Meta(ge=1, le=200)] = 20
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
@@ -177,9 +176,8 @@ class Track(Struct, frozen=True, kw_only=True):
     """What of the line's properties counts."""
 
     cant: bool = True
-    geoid_m: float = 44.5
-    """Height of the geoid above the ellipsoid: EGM96 in Prague, rounded. Map heights are above the
-    geoid."""
+    geoid_m: float = geodesy.PRAGUE_GEOID_M
+    """Height of the geoid above the ellipsoid; a map's heights are above the geoid."""
 
 
 class Scenario(Struct, frozen=True, kw_only=True):

@@ -11,13 +11,12 @@ from tramstream import config
 from tramstream.clock import S
 from tramstream.inertial import instability_density
 from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.receiver import GPS_MINUS_UNIX_S
 from tramstream.scenario import Gnss, Imu, Scenario, Wheels, stated_std_m
 
 Array = NDArray[np.float64]
 
 DEVICE = "simulated"
-GPS_MINUS_UNIX_S = -315_964_800 + 18
-"""GPS time counts from 1980-01-06 and is 18 leap seconds ahead of UTC (since 2017)."""
 WEEK_MS = 604_800_000
 NO_ACCURACY_M = 4_294_967.295
 """What a u-blox receiver states without a fix: its largest number."""
@@ -71,16 +70,15 @@ def _imu(section: Imu) -> config.Imu:
     default = config.Imu(device=DEVICE)
     return config.Imu(
         device=DEVICE,
-        model=section.model,
         rate_hz=section.rate_hz,
         batch=section.batch,
         lever_arm_m=section.lever_arm_m,
         mounting_deg=section.mounting_deg,
         mounting_std_deg=section.mounting_std_deg,
         gyro_noise_radps_rthz=max(errors.gyro_noise_radps_rthz, _LEAST_NOISE),
-        gyro_walk_radps2_rthz=max(math.hypot(errors.gyro_walk_radps2_rthz, math.sqrt(gyro)), 1e-9),
+        gyro_walk_radps2_rthz=math.hypot(errors.gyro_walk_radps2_rthz, gyro**0.5, _LEAST_NOISE),
         accel_noise_mps2_rthz=max(errors.accel_noise_mps2_rthz, _LEAST_NOISE),
-        accel_walk_mps3_rthz=max(math.hypot(errors.accel_walk_mps3_rthz, math.sqrt(accel)), 1e-9),
+        accel_walk_mps3_rthz=math.hypot(errors.accel_walk_mps3_rthz, accel**0.5, _LEAST_NOISE),
         gyro_bias_std_radps=max(
             default.gyro_bias_std_radps, _BIAS_MARGIN * max(map(abs, errors.gyro_bias_radps))
         ),

@@ -37,6 +37,7 @@ Stamps = NDArray[np.int64]
 
 EPOCH_NS = 1_790_000_000 * S
 """Vehicle clock at the start of every simulated ride: 2026-09-21T14:13:20Z as Unix time."""
+MODEL = config.Imu(device="").model
 BLOCK = 8192
 """Inertial samples that are worked out at a time: they fit into a processor's cache."""
 BLOCK_S = 20.0
@@ -151,7 +152,7 @@ class Simulation:
                 message = ImuBatch(
                     stamp_ns=stamp,
                     sequence=sequence + 1,
-                    model=section.model,
+                    model=MODEL,
                     first_sample_sequence=sequence * batch,
                     period_ns=period_s * S,
                     gyro_scale_radps=section.scales.gyro_radps,

@@ -20,10 +20,10 @@ from tramstream.bridges.simulated import (
     Chunk,
     Faults,
 )
-from tramstream.bridges.simulated_gnss import GPS_MINUS_UNIX_S, GnssDevice, gnss_stream
+from tramstream.bridges.simulated_gnss import GnssDevice, gnss_stream
 from tramstream.clock import S
 from tramstream.line import built_in_line
-from tramstream.receiver import GnssErrors
+from tramstream.receiver import GPS_MINUS_UNIX_S, GnssErrors
 from tramstream.ride import Ride
 
 START_NS = 1_790_000_000 * S + 123_456_789
