@@ -6,7 +6,7 @@ Outputs of `reprocess` lie in a record of their own; inputs and truth are then i
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle, Wheels
 from tramstream.recorder.describe import Description, describe
 from tramstream.recorder.health import HEALTH_TYPES, Health
-from tramstream.recorder.reader import Record
+from tramstream.recorder.reader import Entry, Record
 from tramstream.recorder.series import RideSeries
 from tramstream.series import Array, FixSeries, Instants, Slot, StateSeries
 
@@ -164,13 +164,13 @@ def read_material(
     """
     scan = _Scan(vehicle.wheels if vehicle is not None else Wheels())
     inputs = source if source is not None else record
-    for each in (inputs, record) if source is not None else (record,):
-        scan.read(each)
+    of_source = scan.read(source) if source is not None else None
+    description = scan.read(record)
     edges_ns = _edges(inputs)
     start_ns, end_ns = _bounds(ride, inputs)
     return Material(
-        description=describe(record),
-        source=describe(source) if source is not None else None,
+        description=description,
+        source=of_source,
         ride=ride,
         health=scan.health,
         wheels=scan.wheels(),
@@ -198,30 +198,29 @@ class _Scan:
         self._parameters: dict[str, tuple[str, list[int], list[float], list[float]]] = {}
         self._utc_offsets_ns: list[int] = []
 
-    def read(self, record: Record) -> None:
-        """Read a record through."""
+    def read(self, record: Record) -> Description:
+        """Read a record through and describe it."""
         by_path = {
             keys.ODO_WHEELS.path: self._add_wheels,
             keys.EST_DISTANCE.path: self._add_distance,
             keys.EST_PARAMETERS.path: self._add_parameters,
             keys.GNSS_FIX.path: self._add_utc,
         }
-        takers: dict[str, Any] = {}
+        known: dict[str, tuple[Callable[[int], None], Callable[[Any], None] | None]] = {}
         for topic in record.channels:
             path = keys.split(topic)[1]
-            self._arrivals.setdefault(path or topic, array("q"))
-            if path in by_path:
-                takers[topic] = by_path[path]
-            elif record.type_of(topic) in HEALTH_TYPES:
-                takers[topic] = partial(self.health.add, topic)
-        arrivals = {
-            topic: self._arrivals[keys.split(topic)[1] or topic] for topic in record.channels
-        }
-        for entry in record.messages():
-            arrivals[entry.topic].append(entry.log_ns)
-            take = takers.get(entry.topic)
+            take = by_path.get(path)
+            if record.type_of(topic) in HEALTH_TYPES:
+                take = partial(self.health.add, topic)
+            known[topic] = (self._arrivals.setdefault(path or topic, array("q")).append, take)
+
+        def see(entry: Entry) -> None:
+            arrive, take = known[entry.topic]
+            arrive(entry.log_ns)
             if take is not None:
                 take(record.decode(entry))
+
+        return describe(record, see)
 
     def rates_hz(self, edges_ns: Instants) -> dict[str, Array]:
         """Messages a second of every key, by arrival, between neighbouring `edges_ns`."""

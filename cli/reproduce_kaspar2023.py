@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from dataclasses import asdict
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -93,7 +94,7 @@ def _give_up(pool: ProcessPoolExecutor, waiting: dict[Future[Any], Case]) -> Non
 
 def _kind(case: Case | Figures | Overall) -> str:
     wheels = "two wheels" if case.wheels == 2 else "one wheel"
-    return f"{case.line}, {wheels}, {'white' if case.white else ALIKE} GNSS errors"
+    return f"{Path(case.line).name}, {wheels}, {'white' if case.white else ALIKE} GNSS errors"
 
 
 def _plain(figures: list[Figures], missing: int, elapsed_s: float) -> dict[str, Any]:

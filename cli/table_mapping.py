@@ -14,8 +14,9 @@ import msgspec
 from msgspec import Meta
 
 from tramstream.cli.table_units import UNITS, Clock, instant_ns
-from tramstream.config import Positive, Struct, Vector, Vehicle, decode_toml
+from tramstream.config import Positive, Struct, Vector, Vehicle
 from tramstream.errors import ConfigError
+from tramstream.strict import decode_toml
 
 Column = str | int
 """A column by its name in the header, or by its place, the first being 0."""

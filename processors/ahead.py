@@ -10,6 +10,7 @@ from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.kernels import Array
+from tramstream.processors import tram_frames as frames
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_filter import TramFilter
 from tramstream.proto.sync_pb2 import ImuMean
@@ -29,9 +30,15 @@ class Ahead:
         self._inputs = np.zeros((CAPACITY, 10))
         self._durations = np.zeros(CAPACITY)
         self._stamps_ns: list[int] = []
-        self._reading = np.zeros((3, 10))
+        self._begin = 0  # the first that the filter has not seen
+        self._reading = np.zeros((4, 10))
         self._last_ns = 0
         self._memory = np.zeros(kernels.MEMORY)
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest mean; 0 before the first."""
+        return self._last_ns
 
     def append(self, mean: ImuMean) -> None:
         """Take a mean; they come in order."""
@@ -42,10 +49,10 @@ class Ahead:
         ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
         if not np.isfinite(gx + gy + gz + ax + ay + az):
             return
-        kernels.read(self._reading, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        frames.read(self._reading, self._C_vb, gx, gy, gz, ax, ay, az, dt)
         self._last_ns = mean.stamp_ns
         if len(self._stamps_ns) == CAPACITY:
-            self._drop(CAPACITY // 2)
+            self._drop(max(self._begin, CAPACITY // 4))
         index = len(self._stamps_ns)
         self._inputs[index] = self._reading[2]
         self._durations[index] = dt
@@ -53,29 +60,27 @@ class Ahead:
 
     def _drop(self, count: int) -> None:
         kept = len(self._stamps_ns) - count
-        self._inputs[:kept] = self._inputs[count : count + kept]
-        self._durations[:kept] = self._durations[count : count + kept]
+        self._inputs[:kept] = self._inputs[count : count + kept].copy()
+        self._durations[:kept] = self._durations[count : count + kept].copy()
         del self._stamps_ns[:count]
+        self._begin = max(0, self._begin - count)
 
     def predict(self, ekf: TramFilter, horizon_ns: int) -> Array:
         """Memory of the filter (`tram_kernels`) as it would be at the newest mean."""
-        stamps = self._stamps_ns
-        begin = 0
-        while begin < len(stamps) and stamps[begin] <= horizon_ns:
+        stamps, begin = self._stamps_ns, self._begin
+        count = len(stamps)
+        while begin < count and stamps[begin] <= horizon_ns:
             begin += 1
-        if begin > CAPACITY // 4:
-            self._drop(begin)
-            begin = 0
-        self._memory[:] = ekf.memory
-        count = len(stamps) - begin
-        if count:
-            kernels.ahead(
-                self._memory,
-                ekf.parameters,
-                self._inputs[begin:],
-                self._durations[begin:],
-                count,
-            )
+        self._begin = begin
+        kernels.ahead_of(
+            ekf.memory,
+            self._memory,
+            ekf.parameters,
+            self._inputs,
+            self._durations,
+            begin,
+            count,
+        )
         return self._memory
 
     # Memory --------------------------------------------------------------------------------------
@@ -85,12 +90,13 @@ class Ahead:
             "inputs": self._inputs[:count].copy(),
             "durations": self._durations[:count].copy(),
             "stamps_ns": list(self._stamps_ns),
+            "begin": self._begin,
             "reading": self._reading.copy(),
             "last_ns": self._last_ns,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._stamps_ns = list(state["stamps_ns"])
+        self._stamps_ns, self._begin = list(state["stamps_ns"]), state["begin"]
         count = len(self._stamps_ns)
         self._inputs[:count] = state["inputs"]
         self._durations[:count] = state["durations"]

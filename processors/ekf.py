@@ -1,4 +1,4 @@
-"""The localisation filter as a processor: frames and inertial means in, states out.
+"""The localisation filter as a processor: frames of the fusion horizon in, states out.
 
 At the fusion horizon `est/ekf/state` is the filter with everything in it; `est/ekf/now` is the same
 carried on to the newest inertial mean, a few milliseconds old, for whoever cannot wait. Which model
@@ -8,21 +8,21 @@ said in health.
 
 from __future__ import annotations
 
-import math
 from statistics import NormalDist
 
-import numpy as np
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import keys
+from tramstream import keys, place
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.localisation import Estimate, Localiser, Mode
+from tramstream.kernels import sound
+from tramstream.localisation import HEADING_UNKNOWN, Estimate, Localiser
 from tramstream.place import Places
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.models import localiser
 from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
+from tramstream.proto.sync_pb2 import SyncFrame
 
 LOCATION_EVERY = 10
 """Of the states for now: viewers draw maps at 10 Hz."""
@@ -31,18 +31,17 @@ REPEAT_S = 10.0
 MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
-SIZE = 7
-_UPPER = np.flatnonzero(np.triu(np.ones((SIZE, SIZE))))
 LOG = keys.LOG.at("ekf")
 
 
 class LocalisationFilter(Processor):
-    """States of the vehicle from `sync/fusion/frame` and `sync/imu/mean`."""
+    """States of the vehicle from `sync/fusion/frame`."""
 
     name = "ekf"
-    inputs = (keys.SYNC_IMU, keys.SYNC_FRAME)
+    inputs = (keys.SYNC_FRAME,)
     outputs = (keys.EST_STATE, keys.EST_NOW, keys.EST_LOCATION, keys.EST_PARAMETERS, LOG)
-    pacing = (keys.SYNC_IMU, keys.SYNC_FRAME)
+    pacing = (keys.SYNC_FRAME,)
+    demanding = True
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
@@ -57,9 +56,13 @@ class LocalisationFilter(Processor):
         self._now_count = 0
 
     def step(self, sample: Sample) -> list[Sample]:
-        if sample.key is keys.SYNC_FRAME:
-            return self._take(sample)
-        estimate = self.localiser.ahead(sample.message)
+        return self._take(sample) + self._now(sample.message)
+
+    def _now(self, frame: SyncFrame) -> list[Sample]:
+        """Go on to the newest mean that there was when the frame was released."""
+        for mean in frame.ahead:
+            self.localiser.see(mean)
+        estimate = self.localiser.ahead() if frame.ahead else None
         if estimate is None or not _finite(estimate):
             return []
         message = self._message(estimate)
@@ -117,38 +120,31 @@ class LocalisationFilter(Processor):
         assert level is not None  # there is an estimate
         if self._places is None or self._places.level is not level:
             self._places = Places(level)
-        place = self._places.at(*estimate.p_l)
-        cos, sin = math.cos(estimate.yaw_rad), math.sin(estimate.yaw_rad)
-        P = estimate.covariance
-        (ee, en, uu), (nn, vv, yy) = P[_FIRST].tolist(), P[_SECOND].tolist()
-        if estimate.mode == Mode.HEADING_UNKNOWN:
-            along = across = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
-        else:
-            along = cos * cos * ee + 2.0 * cos * sin * en + sin * sin * nn
-            across = sin * sin * ee - 2.0 * cos * sin * en + cos * cos * nn
-        along_std, across_std = math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0))
-        lean = place.east_tilt_rad * cos + place.north_tilt_rad * sin
-        bank = place.north_tilt_rad * cos - place.east_tilt_rad * sin
+        said = self._places.describe(estimate.motion, estimate.covariance)
+        along, across = said[place.ALONG], said[place.ACROSS]
+        mode = estimate.mode
+        if mode == HEADING_UNKNOWN:
+            along = across = said[place.WORST]
         return MotionState(
-            mode=estimate.mode,
-            latitude_deg=place.latitude_deg,
-            longitude_deg=place.longitude_deg,
-            height_ellipsoid_m=place.height_m,
+            mode=mode,
+            latitude_deg=said[0],
+            longitude_deg=said[1],
+            height_ellipsoid_m=said[2],
             speed_mps=estimate.speed_mps,
             acceleration_mps2=estimate.acceleration_mps2,
-            roll_rad=estimate.roll_rad + bank,
-            pitch_rad=estimate.pitch_rad - lean,
-            yaw_rad=math.remainder(estimate.yaw_rad - place.convergence_rad, math.tau),
+            roll_rad=said[3],
+            pitch_rad=said[4],
+            yaw_rad=said[5],
             yaw_rate_radps=estimate.yaw_rate_radps,
             standing=estimate.standing,
-            along_std_m=along_std,
-            across_std_m=across_std,
-            up_std_m=math.sqrt(max(uu, 0.0)),
-            speed_std_mps=math.sqrt(max(vv, 0.0)),
-            yaw_std_rad=math.sqrt(max(yy, 0.0)),
-            protection_along_m=self._quantile * along_std,
-            protection_across_m=self._quantile * across_std,
-            covariance=P.ravel()[_UPPER].tolist(),
+            along_std_m=along,
+            across_std_m=across,
+            up_std_m=said[8],
+            speed_std_mps=said[9],
+            yaw_std_rad=said[10],
+            protection_along_m=self._quantile * along,
+            protection_across_m=self._quantile * across,
+            covariance=said[place.COVARIANCE :],
             innovations=[
                 Innovation(measurement=name, value=value, variance=variance, accepted=accepted)
                 for name, value, variance, accepted in estimate.verdicts
@@ -178,18 +174,9 @@ class LocalisationFilter(Processor):
             self._places.restore(state["places"])
 
 
-_FIRST = np.array([0, 0, 2]), np.array([0, 1, 2])
-_SECOND = np.array([1, 3, 6]), np.array([1, 3, 6])
-
-
 def _finite(estimate: Estimate) -> bool:
     """Whether everything is a number and no variance is negative."""
-    east, north, up = estimate.p_l
-    total = east + north + up + estimate.speed_mps + estimate.yaw_rad + estimate.pitch_rad
-    trace = estimate.covariance.diagonal()
-    return math.isfinite(total + estimate.roll_rad) and bool(
-        math.isfinite(float(estimate.covariance.sum())) and float(trace.min()) >= 0.0
-    )
+    return bool(sound(estimate.motion, estimate.covariance))
 
 
 def _location(state: MotionState) -> LocationFix:

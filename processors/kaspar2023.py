@@ -139,13 +139,17 @@ class Kaspar2023Localiser:
                 verdicts += self._take_fix(fix)
         return self._estimate(self._filter, frame.stamp_ns, verdicts)
 
-    def ahead(self, mean: ImuMean) -> Estimate | None:
+    def see(self, mean: ImuMean) -> None:
         """See `tramstream.localisation.Localiser`."""
         self._ahead.append(mean.stamp_ns, self._reading(mean)[:, 0].tolist())
-        if self._level is None or mean.stamp_ns <= self._stamp_ns:
+
+    def ahead(self) -> Estimate | None:
+        """See `tramstream.localisation.Localiser`."""
+        newest_ns = self._ahead.newest_ns
+        if self._level is None or newest_ns <= self._stamp_ns:
             return None
         kalman = self._ahead.predict(self._filter, self._stamp_ns, self._gravity_mps2)
-        return self._estimate(kalman, mean.stamp_ns, [])
+        return self._estimate(kalman, newest_ns, [])
 
     # Start ---------------------------------------------------------------------------------------
     def _begin(self, fixes: Sequence[GnssFix]) -> bool:
@@ -288,12 +292,8 @@ class Kaspar2023Localiser:
         return Estimate(
             stamp_ns=stamp_ns,
             mode=mode,
-            p_l=p_l,
-            speed_mps=speed,
+            motion=np.array([*p_l, speed, x[Ix.ROLL], x[Ix.PITCH], x[Ix.YAW]]),
             acceleration_mps2=x[Ix.ACCELERATION],
-            roll_rad=x[Ix.ROLL],
-            pitch_rad=x[Ix.PITCH],
-            yaw_rad=math.remainder(x[Ix.YAW], math.tau),
             yaw_rate_radps=x[Ix.RATE_Z],
             standing=abs(speed) < STANDING_MPS,
             covariance=covariance,
@@ -304,7 +304,7 @@ class Kaspar2023Localiser:
         """See `tramstream.localisation.Localiser`."""
         x, P = self._filter.x, self._filter.P
         return [
-            Learned(name, float(x[slot, 0]), math.sqrt(P[slot, slot]), unit)
+            Learned(name, float(x[slot, 0]), math.sqrt(max(P[slot, slot], 0.0)), unit)
             for slot, name, unit in _NAMES
         ]
 

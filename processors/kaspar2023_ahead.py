@@ -39,6 +39,11 @@ class Ahead:
         self._stamps: deque[int] = deque(maxlen=CAPACITY)
         self._readings: deque[list[float]] = deque(maxlen=CAPACITY)
 
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest mean; 0 before the first."""
+        return self._stamps[-1] if self._stamps else 0
+
     def append(self, stamp_ns: int, reading: list[float]) -> None:
         """Take (f_x, ω_v) of a mean; they come in order."""
         self._stamps.append(stamp_ns)

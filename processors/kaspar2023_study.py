@@ -21,7 +21,7 @@ from tramstream import consistency, evaluation, keys, line_geojson, scenario
 from tramstream.config import Vehicle
 from tramstream.consistency import NEES_SLOTS, Protection
 from tramstream.evaluation import MotionErrors
-from tramstream.geodesy import LocalLevel
+from tramstream.geodesy import LocalLevel, convergence_rad
 from tramstream.line import Line, built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.ekf import LocalisationFilter
@@ -217,8 +217,8 @@ def _truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
     level = simulation.line.level
     truth = simulation.truth(stamp_ns)
     motion = truth.motion
-    latitude, longitude, _ = level.to_geodetic(truth.p_l).T
-    convergence = (longitude - level.longitude_rad) * np.sin(latitude)
+    _, longitude, _ = level.to_geodetic(truth.p_l).T
+    convergence = convergence_rad(level, longitude)
     attitude = np.stack([motion.roll_rad, motion.pitch_rad, motion.yaw_rad - convergence], axis=1)
     unknown = np.full(len(stamp_ns), np.nan)
     return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, wrapped_rad(attitude), unknown)

@@ -71,6 +71,7 @@ class Resampler(Processor):
         self._newest_imu_ns = 0  # stamp of the newest inertial sample
         self._newest_ns = 0  # newest instant of inertial samples and ticks
         self._means: deque[ImuMean] = deque()
+        self._newer: list[ImuMean] = []  # since the last frame
         self._measurements: list[tuple[int, int, int, int, GnssFix | Odometry]] = []  # heap
         self._pushed = 0
         self._samples = Ledger("resampler", "samples")
@@ -99,7 +100,8 @@ class Resampler(Processor):
         self._newest_ns = max(self._newest_ns, last_ns)
         for window in self._windows.complete():
             self._take_window(window, batch, results)
-        self._release(last_ns - self._lag_ns, results)
+            # To the window's end, not the batch's: how samples are batched must not show.
+            self._release(window.stamp_ns + int(window.interval_ns) // 2 - self._lag_ns, results)
         return results
 
     def _continue_run(self, batch: ImuBatch, results: list[Sample]) -> None:
@@ -155,6 +157,7 @@ class Resampler(Processor):
             results.append(self._late(keys.SYNC_IMU.path, mean.sequence, 0, stamp_ns))
         else:
             self._means.append(mean)
+            self._newer.append(mean)
 
     # Measurements and silence --------------------------------------------------------------------
     def _take_measurement(self, sample: Sample) -> list[Sample]:
@@ -213,7 +216,8 @@ class Resampler(Processor):
 
     def _frame(self, stamp_ns: int, mean: ImuMean | None) -> Sample:
         """Everything up to `stamp_ns` that has not been released yet."""
-        frame = SyncFrame()
+        frame = SyncFrame(ahead=self._newer)
+        self._newer.clear()
         if mean is not None:
             frame.imu.CopyFrom(mean)
         measurements = self._measurements
@@ -240,6 +244,7 @@ class Resampler(Processor):
             "newest_imu_ns": self._newest_imu_ns,
             "newest_ns": self._newest_ns,
             "means": [mean.SerializeToString() for mean in self._means],
+            "newer": [mean.SerializeToString() for mean in self._newer],
             "measurements": [
                 [kind, publish_ns, message.SerializeToString()]
                 for _, kind, publish_ns, _, message in sorted(
@@ -257,6 +262,7 @@ class Resampler(Processor):
         self._newest_imu_ns = state["newest_imu_ns"]
         self._newest_ns = state["newest_ns"]
         self._means = deque(ImuMean.FromString(data) for data in state["means"])
+        self._newer = [ImuMean.FromString(data) for data in state["newer"]]
         self._measurements = []
         for kind, publish_ns, data in state["measurements"]:
             message: GnssFix | Odometry = (

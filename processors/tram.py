@@ -24,12 +24,12 @@ import numpy as np
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.geodesy import LocalLevel
-from tramstream.localisation import Estimate, Learned, Mode, Verdict
+from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.processor import State
 from tramstream.processors.ahead import Ahead
 from tramstream.processors.alignment import Alignment
 from tramstream.processors.standstill import Standstill
-from tramstream.processors.tram_estimate import at_fix, estimate_of, without_heading
+from tramstream.processors.tram_estimate import at_fix, estimate_of, plain, without_heading
 from tramstream.processors.tram_fixes import antenna_l, unusable
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_states import SIZE, UNITS, Ix, Pm
@@ -48,14 +48,13 @@ SURE = 3.0
 """Difference of log-likelihood at which a direction of travel is taken."""
 UNSURE_WAY_M = 100.0
 """After so long a way the likelier direction is taken, however little."""
-LOST_S = 5.0
-"""Without an accepted fix for so long it is dead reckoning."""
 
 
 class TramLocaliser:
     """See the module; keeps `tramstream.localisation.Localiser`."""
 
     name = "tram"
+    navigation_type: type[Navigation] = Navigation
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -114,7 +113,7 @@ class TramLocaliser:
                 self._complaints.append(f"{reason} was left out")
                 continue
             level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
-            self._navigation = navigation = Navigation(self._vehicle, level)
+            self._navigation = navigation = self.navigation_type(self._vehicle, level)
             navigation.stamp_ns = frame.stamp_ns
             navigation.unface()
             return navigation
@@ -274,10 +273,7 @@ class TramLocaliser:
     def _estimate(
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
-        mode = Mode.HEADING_UNKNOWN
-        if self._aligned:
-            since_ns = self._stamp_ns - navigation.fixes.accepted_ns
-            mode = Mode.DEAD_RECKONING if since_ns > LOST_S * S else Mode.TRACKING
+        mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
         memory = navigation.ekf.memory
         share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
         estimate = estimate_of(memory, share, self._stamp_ns, mode, standing, verdicts)
@@ -291,16 +287,19 @@ class TramLocaliser:
         speed_mps = self._standstill.speed_over_ground_mps
         return at_fix(estimate, antenna_l(fix, navigation.level), std_m, speed_mps, age_s)
 
-    def ahead(self, mean: ImuMean) -> Estimate | None:
+    def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
+
+    def ahead(self) -> Estimate | None:
+        stamp_ns = max(self._ahead.newest_ns, self._stamp_ns)
         navigation, last = self._navigation, self._last
         if navigation is None or last is None:
             return None
         if not self._aligned:
-            return replace(last, stamp_ns=mean.stamp_ns, verdicts=[])
+            return replace(last, stamp_ns=stamp_ns, verdicts=[])
         m = self._ahead.predict(navigation.ekf, self._stamp_ns)
         share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
-        return estimate_of(m, share, mean.stamp_ns, last.mode, last.standing, [])
+        return estimate_of(m, share, stamp_ns, last.mode, last.standing, [])
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation
@@ -338,12 +337,13 @@ class TramLocaliser:
             "inertial": self._inertial,
             "rested": self._rested,
             "ahead": self._ahead.snapshot(),
+            "last": None if self._last is None else plain(self._last),
         }
 
     def restore(self, state: State) -> None:
         self._navigation = None
         if state["level"] is not None:
-            self._navigation = Navigation(self._vehicle, LocalLevel(*state["level"]))
+            self._navigation = self.navigation_type(self._vehicle, LocalLevel(*state["level"]))
             self._navigation.restore(state["navigation"])
         self._standstill.restore(state["standstill"])
         self._aligned, self._anchor = state["aligned"], state["anchor"]
@@ -358,4 +358,4 @@ class TramLocaliser:
         self._stamp_ns, self._inertial = state["stamp_ns"], state["inertial"]
         self._rested = state["rested"]
         self._ahead.restore(state["ahead"])
-        self._last = None
+        self._last = None if state["last"] is None else Estimate(**state["last"])

@@ -2,7 +2,8 @@
 
 The vehicle moves along its own x axis: ṗ = C_lv [v 0 0]ᵀ (no side slip, no jumping). Specific
 force along x drives v, the angular rates drive the attitude, and both are inputs, not states: a
-step costs one prediction. Correlations that this brings are kept: the noise of the vertical gyroscope turns
+step costs one prediction. Correlations that this brings are kept: the noise of the vertical
+gyroscope turns
 the heading and the paths of the two wheels together, which is how the wheels hold the heading.
 
 All functions work on one block of memory, so that a call from Python costs a fraction of a
@@ -20,14 +21,19 @@ from tramstream.kernels import Array, Indices, compiled, predict_covariance, upd
 from tramstream.processors.tram_states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
 
 ENTRY_COUNT = len(ENTRIES)
-_ROW_LENGTH = 10
+ROW_LENGTH = 10
 """Most entries of a row of H."""
+MOST_SCALARS = 5
+"""That one call takes: of a vehicle that stands."""
 _W = SIZE + SIZE * SIZE
 _K = _W + SIZE * SIZE
-_A = _K + SIZE
+_A = _K + MOST_SCALARS * SIZE
 _H = _A + ENTRY_COUNT
-_H2 = _H + _ROW_LENGTH
-ACCELERATION = _H2 + _ROW_LENGTH
+_COLUMNS = _H + MOST_SCALARS * ROW_LENGTH
+_SEEN = _COLUMNS + MOST_SCALARS * ROW_LENGTH
+TAKEN = _SEEN + MOST_SCALARS * 3
+"""How many scalars the last call took or refused; the rest of it is for a smoother (`note`)."""
+ACCELERATION = TAKEN + 1
 """Where `predict` leaves v̇, m/s²."""
 YAW_RATE = ACCELERATION + 1
 """Where it leaves ψ̇, rad/s."""
@@ -35,10 +41,11 @@ MEMORY = YAW_RATE + 1
 STATE = slice(0, SIZE)
 COVARIANCE = slice(SIZE, _W)
 SCRATCH = slice(_W, _K)
-GAIN = slice(_K, _A)
+GAIN = slice(_K, _K + SIZE)
 ENTRY_VALUES = slice(_A, _H)
-FIRST_ROW = slice(_H, _H2)
-SECOND_ROW = slice(_H2, ACCELERATION)
+H_COLUMNS = slice(_COLUMNS, _SEEN)
+SEEN = slice(_SEEN, TAKEN)
+"""Innovation, S (negative: refused) and the number of entries of H, scalar by scalar."""
 
 
 def slots(*names: Ix) -> Indices:
@@ -47,11 +54,51 @@ def slots(*names: Ix) -> Indices:
 
 
 _LATERAL = slots(
-    Ix.SPEED, Ix.ROLL, Ix.PITCH, Ix.GYRO_Z, Ix.ACCEL_Y, Ix.MOUNT_ROLL, Ix.MOUNT_YAW, Ix.GYRO_SCALE
+    Ix.SPEED,
+    Ix.ROLL,
+    Ix.PITCH,
+    Ix.GYRO_Z,
+    Ix.ACCEL_Y,
+    Ix.MOUNT_ROLL,
+    Ix.MOUNT_YAW,
+    Ix.GYRO_SCALE,
+    Ix.MOUNT_PITCH,
 )
 _STANDING = slots(Ix.SPEED)
-_LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW)
+_LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH)
 _STILL = (slots(Ix.GYRO_X), slots(Ix.GYRO_Y), slots(Ix.GYRO_Z))
+
+
+@compiled
+def row(m: Array, k: int) -> Array:
+    """Where a call puts the row of H of its scalar number `k`."""
+    return m[_H + k * ROW_LENGTH : _H + (k + 1) * ROW_LENGTH]
+
+
+@compiled
+def gain(m: Array, k: int) -> Array:
+    """Where its gain lies."""
+    return m[_K + k * SIZE : _K + (k + 1) * SIZE]
+
+
+@compiled
+def note(m: Array, k: int, columns: Indices, count: int, y: float, S: float) -> None:
+    """Leave in memory what a smoother wants to know of scalar number `k`."""
+    m[_SEEN + 3 * k], m[_SEEN + 3 * k + 1], m[_SEEN + 3 * k + 2] = y, S, count
+    for i in range(count):
+        m[_COLUMNS + k * ROW_LENGTH + i] = columns[i]
+    m[TAKEN] = k + 1
+
+
+@compiled
+def take(
+    m: Array, k: int, columns: Indices, count: int, y: float, variance: float, gate: float
+) -> float:
+    """Take scalar number `k` of a call, its row of H being in place; see `update_scalar`."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    S = update_scalar(x, P, columns, row(m, k), count, y, variance, gate, gain(m, k))
+    note(m, k, columns, count, y, S)
+    return S
 
 
 @compiled
@@ -59,8 +106,8 @@ def rates(x: Array, u: Array) -> tuple[float, float, float]:
     """Angular rate of the vehicle out of the gyroscopes' reading, resolved in v, rad/s."""
     a, b = u[0] - x[Ix.GYRO_X], u[1] - x[Ix.GYRO_Y]
     c = (u[2] - x[Ix.GYRO_Z]) * (1.0 - x[Ix.GYRO_SCALE])
-    roll, yaw = x[Ix.MOUNT_ROLL], x[Ix.MOUNT_YAW]
-    return a - yaw * b, b + yaw * a - roll * c, c + roll * b
+    roll, pitch, yaw = x[Ix.MOUNT_ROLL], x[Ix.MOUNT_PITCH], x[Ix.MOUNT_YAW]
+    return a + pitch * c - yaw * b, b + yaw * a - roll * c, c + roll * b - pitch * a
 
 
 @compiled
@@ -71,7 +118,7 @@ def acceleration(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) 
     gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
     rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
     lever = -(wy * wy + wz * wz) * rx + wx * wy * ry + wx * wz * rz + u[7] * rz - u[8] * ry
-    force = u[3] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
+    force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
     return force - gravity - lever
 
 
@@ -137,11 +184,11 @@ def transition(x: Array, c: Array, u: Array, dt: float, values: Array) -> None:
     values[3], values[4], values[5] = cp * sy * dt, -sp * sy * along, cp * cy * along
     values[6], values[7] = -sp * dt, -cp * along
     values[8] = c[Pm.GRAVITY] * cp * dt * u[9]
-    values[9], values[10] = -dt * u[9], -u[4] * dt * u[9]
-    values[11], values[12] = tp * dipping * dt, turning / (cp * cp) * dt
-    values[13] = -turning * dt
-    values[14], values[15] = dipping / cp * dt, turning * sp / (cp * cp) * dt
-    k = 16
+    values[9], values[10], values[11] = -dt * u[9], -u[4] * dt * u[9], u[5] * dt * u[9]
+    values[12], values[13] = tp * dipping * dt, turning / (cp * cp) * dt
+    values[14] = -turning * dt
+    values[15], values[16] = dipping / cp * dt, turning * sp / (cp * cp) * dt
+    k = 17
     for angle in range(3):  # how the angle follows each rate of the vehicle
         gx, gy, gz = 1.0, tp * sr, tp * cr
         if angle == 1:
@@ -154,8 +201,9 @@ def transition(x: Array, c: Array, u: Array, dt: float, values: Array) -> None:
         values[k], values[k + 1] = -gy * dt, -gz * scale * dt
         values[k + 2] = (gz * wy - gy * wz) * dt
         values[k + 3] = (gy * wx - gx * wy) * dt
-        values[k + 4] = -gz * rate_z * dt
-        k += 5
+        values[k + 4] = (gx * wz - gz * wx) * dt
+        values[k + 5] = -gz * rate_z * dt
+        k += 6
     for wheel in range(2):
         offset, sign, counted = c[Pm.OFFSET_A], c[Pm.SIGN_A], 1.0 + x[Ix.SCALE_A]
         if wheel == 1:
@@ -252,17 +300,25 @@ def rest(m: Array, c: Array, dt: float) -> None:
 
 
 @compiled
-def ahead(m: Array, c: Array, inputs: Array, durations: Array, count: int) -> None:
-    """Predict through `count` readings: the state step by step, the covariance in one step."""
-    before = m[STATE].copy()
+def ahead_of(
+    m: Array, to: Array, c: Array, inputs: Array, durations: Array, begin: int, end: int
+) -> None:
+    """Predict a copy of `m` through the readings from `begin` to `end`.
+
+    The state goes step by step, the covariance in one step.
+    """
+    for k in range(to.shape[0]):
+        to[k] = m[k]
+    if end <= begin:
+        return
+    x, P = to[STATE], to[COVARIANCE].reshape((SIZE, SIZE))
     total = 0.0
-    for k in range(count):
-        m[ACCELERATION], m[YAW_RATE] = move(m[STATE], c, inputs[k], durations[k])
+    for k in range(begin, end):
+        to[ACCELERATION], to[YAW_RATE] = move(x, c, inputs[k], durations[k])
         total += durations[k]
-    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    transition(before, c, inputs[count - 1], total, m[ENTRY_VALUES])
-    scratch = m[SCRATCH].reshape((SIZE, SIZE))
-    predict_covariance(P, ROWS, COLUMNS, m[ENTRY_VALUES], ENTRY_COUNT, scratch)
+    transition(m[STATE], c, inputs[end - 1], total, to[ENTRY_VALUES])
+    scratch = to[SCRATCH].reshape((SIZE, SIZE))
+    predict_covariance(P, ROWS, COLUMNS, to[ENTRY_VALUES], ENTRY_COUNT, scratch)
     add_noise(x, P, c, total)
 
 
@@ -275,7 +331,7 @@ def inertial(m: Array, c: Array, u: Array, before: Array, gate: float) -> float:
 
     Returns y²/S, negative when it was refused.
     """
-    x, P, K, h = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE)), m[GAIN], m[FIRST_ROW]
+    x, h = m[STATE], row(m, 0)
     wx, wy, wz = rates(x, u)
     sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
@@ -286,70 +342,31 @@ def inertial(m: Array, c: Array, u: Array, before: Array, gate: float) -> float:
     expected = v * wz + g * (cp * sr + tilt * c[Pm.CURVATURE]) + lever
     read = u[4] + x[Ix.MOUNT_YAW] * u[3] - x[Ix.MOUNT_ROLL] * u[5] - x[Ix.ACCEL_Y]
     scale = 1.0 - x[Ix.GYRO_SCALE]
-    _, wy, wz = rates(x, before)
+    wx, wy, wz = rates(x, before)
     h[0], h[1], h[2] = wz, g * cp * cr, -g * sp * sr
     h[3], h[4] = -v * scale, 1.0
     h[5], h[6] = before[5] + v * wy, -before[3]
-    h[7] = -v * (before[2] - x[Ix.GYRO_Z])
+    h[7], h[8] = -v * (before[2] - x[Ix.GYRO_Z]), -v * wx
     y = read - expected
     variance = c[Pm.LATERAL_VARIANCE] + v * v * c[Pm.READING_VARIANCE]
-    S = update_scalar(x, P, _LATERAL, h, 8, y, variance, gate, K)
+    S = take(m, 0, _LATERAL, 9, y, variance, gate)
     return y * y / S
 
 
 @compiled
 def standing(m: Array, c: Array, u: Array) -> None:
     """Take what a vehicle that stands shows: no speed, biases as rates, gravity along x."""
-    x, P, K, h = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE)), m[GAIN], m[FIRST_ROW]
-    h[0] = 1.0
-    update_scalar(x, P, _STANDING, h, 1, -x[Ix.SPEED], c[Pm.STANDING_VARIANCE], math.inf, K)
+    x = m[STATE]
+    row(m, 0)[0] = 1.0
+    take(m, 0, _STANDING, 1, -x[Ix.SPEED], c[Pm.STANDING_VARIANCE], math.inf)
     for axis in range(3):
         variance = c[Pm.STILL_ROLL_VARIANCE + axis]
-        y = u[axis] - x[Ix.GYRO_X + axis]
-        update_scalar(x, P, _STILL[axis], h, 1, y, variance, math.inf, K)
+        row(m, 1 + axis)[0] = 1.0
+        take(m, 1 + axis, _STILL[axis], 1, u[axis] - x[Ix.GYRO_X + axis], variance, math.inf)
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
     gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
-    h[0], h[1], h[2] = -c[Pm.GRAVITY] * cp, 1.0, u[4]
-    y = u[3] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X] - gravity
-    update_scalar(x, P, _LEVEL, h, 3, y, c[Pm.STILL_FORCE_VARIANCE], math.inf, K)
-
-
-@compiled
-def read(
-    inputs: Array,
-    C_vb: Array,
-    gx: float,
-    gy: float,
-    gz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    dt: float,
-) -> None:
-    """Turn a reading of the case into the vehicle's axes, and remember the one before.
-
-    Parameters
-    ----------
-    inputs : ndarray, shape (3, 10)
-        Rows for `move`: the reading before, this one, and their mean: what acts between them.
-    C_vb : ndarray, shape (3, 3)
-    dt : float
-        Between the two readings, s; 0 if there is none before.
-    """
-    for k in range(10):
-        inputs[0, k] = inputs[1, k]
-    for i in range(3):
-        inputs[1, i] = C_vb[i, 0] * gx + C_vb[i, 1] * gy + C_vb[i, 2] * gz
-        inputs[1, 3 + i] = C_vb[i, 0] * ax + C_vb[i, 1] * ay + C_vb[i, 2] * az
-        inputs[1, 6 + i] = 0.0
-    inputs[1, 9] = 1.0
-    if dt <= 0.0:
-        for k in range(10):
-            inputs[0, k] = inputs[1, k]
-    for k in range(6):
-        inputs[2, k] = 0.5 * (inputs[0, k] + inputs[1, k])
-    for k in range(3):
-        inputs[2, 6 + k] = (inputs[1, k] - inputs[0, k]) / dt if dt > 0.0 else 0.0
-        inputs[1, 6 + k] = inputs[2, 6 + k]
-    inputs[2, 9] = 1.0
+    h = row(m, 4)
+    h[0], h[1], h[2], h[3] = -c[Pm.GRAVITY] * cp, 1.0, u[4], -u[5]
+    force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
+    take(m, 4, _LEVEL, 4, force - gravity, c[Pm.STILL_FORCE_VARIANCE], math.inf)

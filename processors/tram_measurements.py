@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 
-from tramstream.kernels import Array, compiled, update_pair, update_scalar
+from tramstream.kernels import Array, compiled, update_pair
 from tramstream.processors.tram_kernels import (
     ACCELERATION,
     COVARIANCE,
-    FIRST_ROW,
-    GAIN,
-    SECOND_ROW,
     STATE,
     YAW_RATE,
+    gain,
+    note,
+    row,
     slots,
+    take,
 )
 from tramstream.processors.tram_states import SIZE, Ix, Pm
 
@@ -65,7 +66,7 @@ def position(m: Array, c: Array, z: Array, R: Array, gate: float, knee: float, o
         Gets innovations and variances of east, north and up.
     """
     x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    K, h, h2 = m[GAIN], m[FIRST_ROW], m[SECOND_ROW]
+    K, K2, h, h2 = gain(m, 0), gain(m, 1), row(m, 0), row(m, 1)
     east, north, up, along, across = _lever(x, c)
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
@@ -80,21 +81,24 @@ def position(m: Array, c: Array, z: Array, R: Array, gate: float, knee: float, o
     h[7], h2[7] = cy * cp, sy * cp
     out[0, 0] = z[0] - (x[Ix.EAST] + east + x[Ix.GNSS_EAST] - ve * delay)
     out[1, 0] = z[1] - (x[Ix.NORTH] + north + x[Ix.GNSS_NORTH] - vn * delay)
-    update_pair(x, P, _EAST, h, 8, _NORTH, h2, 8, R[0], R[2], gate, knee, K, out)
+    update_pair(x, P, _EAST, h, 8, _NORTH, h2, 8, R[0], R[2], gate, knee, K, K2, out)
+    note(m, 0, _EAST, 8, out[0, 0], out[0, 1])
+    note(m, 1, _NORTH, 8, out[1, 0], out[1, 1])
     _, _, up, along, across = _lever(x, c)
     sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     vu, delay = -x[Ix.SPEED] * sp, x[Ix.GNSS_DELAY]
+    h = row(m, 2)
     h[0], h[1], h[2], h[3] = 1.0, 1.0, -vu, sp * delay
     h[4], h[5] = -along + x[Ix.SPEED] * cp * delay, across
     y = z[2] - (x[Ix.UP] + up + x[Ix.GNSS_UP] - vu * delay)
-    out[2, 0], out[2, 1] = y, update_scalar(x, P, _UP, h, 6, y, R[1], gate, K)
+    out[2, 0], out[2, 1] = y, take(m, 2, _UP, 6, y, R[1], gate)
 
 
 @compiled
 def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, out: Array) -> None:
     """Take an antenna's velocity over ground (east, north), m/s; see `position`."""
     x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    K, h, h2 = m[GAIN], m[FIRST_ROW], m[SECOND_ROW]
+    K, K2, h, h2 = gain(m, 0), gain(m, 1), row(m, 0), row(m, 1)
     _, _, _, along, across = _lever(x, c)
     cp = math.cos(x[Ix.PITCH])
     sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
@@ -107,7 +111,9 @@ def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, o
     h2[0], h2[1], h2[2], h2[3] = sy * cp, ve, -an, sy * across - cy * along
     out[0, 0] = z[0] - (ve - ae * delay)
     out[1, 0] = z[1] - (vn - an * delay)
-    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, 0.0, gate, knee, K, out)
+    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, 0.0, gate, knee, K, K2, out)
+    note(m, 0, _VELOCITY, 4, out[0, 0], out[0, 1])
+    note(m, 1, _VELOCITY, 4, out[1, 0], out[1, 1])
 
 
 @compiled
@@ -116,15 +122,14 @@ def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out:
 
     `out`, shape (2,), gets the innovation and its variance.
     """
-    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    K, h = m[GAIN], m[FIRST_ROW]
+    x, h = m[STATE], row(m, 0)
     slot, sign, columns = Ix.PATH_A + 0, c[Pm.SIGN_A], _WHEEL_A
     if wheel == 1:
         slot, sign, columns = Ix.PATH_B + 0, c[Pm.SIGN_B], _WHEEL_B
     v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
     h[0], h[1], h[2] = 1.0, -sign * v, -sign * delay
     y = way - (x[slot] - sign * v * delay)
-    out[0], out[1] = y, update_scalar(x, P, columns, h, 3, y, R, gate, K)
+    out[0], out[1] = y, take(m, 0, columns, 3, y, R, gate)
     x[slot] -= way
 
 
@@ -144,8 +149,7 @@ def tie(m: Array, wheel: int, variance: float) -> None:
 @compiled
 def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out: Array) -> None:
     """Take a wheel's speed, m/s, where the bus gives one; see `path`."""
-    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    K, h = m[GAIN], m[FIRST_ROW]
+    x, h = m[STATE], row(m, 0)
     offset, sign, scale, columns = c[Pm.OFFSET_A], c[Pm.SIGN_A], x[Ix.SCALE_A], _RIM_A
     if wheel == 1:
         offset, sign, scale, columns = c[Pm.OFFSET_B], c[Pm.SIGN_B], x[Ix.SCALE_B], _RIM_B
@@ -154,4 +158,4 @@ def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out
     counted = 1.0 + scale
     h[0], h[1], h[2], h[3] = sign * counted, true, sign * offset * counted, -sign * a * counted
     y = speed - true * counted
-    out[0], out[1] = y, update_scalar(x, P, columns, h, 4, y, R, gate, K)
+    out[0], out[1] = y, take(m, 0, columns, 4, y, R, gate)

@@ -12,8 +12,8 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.kernels import Array
-from tramstream.localisation import Verdict
-from tramstream.processors import tram_kernels as kernels
+from tramstream.localisation import DEAD_RECKONING, TRACKING, Verdict
+from tramstream.processors import tram_frames as frames
 from tramstream.processors.tram_filter import TramFilter, parameters
 from tramstream.processors.tram_fixes import Fixes, deviations, unusable
 from tramstream.processors.tram_states import PARAMETERS, Ix, Pm
@@ -34,19 +34,23 @@ LEAVING_STD_MPS = 0.01
 BLIND_LEAVING_STD_MPS = 0.3
 """Speed that standing may hide in its last moment, with wheels and without."""
 LEAST_STEP_S = 1e-6
+LOST_S = 5.0
+"""Without an accepted fix for so long it is dead reckoning."""
 
 
 class Navigation:
     """Filter, wheels and fixes of a vehicle whose place is known."""
 
+    filter_type: type[TramFilter] = TramFilter
+
     def __init__(self, vehicle: Vehicle, level: LocalLevel) -> None:
         self.level = level
         gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
-        self.ekf = TramFilter(parameters(vehicle, gravity))
+        self.ekf = self.filter_type(parameters(vehicle, gravity))
         self.wheels = WheelPair(vehicle)
         self.fixes = Fixes(vehicle)
         self.stamp_ns = 0
-        self.inputs = np.zeros((3, 10))
+        self.inputs = np.zeros((4, 10))
         """Inertial reading before, now, and what acts between them."""
         self.complaints: list[str] = []
         imu = vehicle.imu
@@ -72,7 +76,7 @@ class Navigation:
         std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
         if imu is not None:
             std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
-            std[[Ix.MOUNT_ROLL, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
+            std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
             std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
         else:
             std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
@@ -106,7 +110,7 @@ class Navigation:
         if not math.isfinite(gx + gy + gz + ax + ay + az):
             self.complaints.append("an inertial reading that is no number; the one before is kept")
             return False
-        kernels.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
         self._read_ns = mean.stamp_ns
         return True
 
@@ -215,6 +219,11 @@ class Navigation:
         self.ekf.parameters[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = 0.0
         self.ekf.memory[Ix.YAW] = 0.0
         self.ekf.forget((Ix.YAW,), (0.0,))
+
+    def mode(self, stamp_ns: int) -> int:
+        """What the place rests on at `stamp_ns`, once the heading is known."""
+        since_ns = stamp_ns - self.fixes.accepted_ns
+        return DEAD_RECKONING if since_ns > LOST_S * S else TRACKING
 
     def accuracy_m(self, fix: GnssFix) -> float:
         """Deviation of a fix on each horizontal axis."""

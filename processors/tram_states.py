@@ -3,11 +3,10 @@
 Angles are those of theory.md section 1 and their errors add: x_true = x + δx, the attitude error
 too, for a tram never stands on its nose. All axes are the vehicle's (frame v) unless said
 otherwise; inertial readings are turned into v by the configured mounting before they come here, and
-two small angles remain to be found.
+three small angles remain to be found.
 
 Left out because nothing observes them, or another state does the same: the vertical accelerometer
-and its bias; the small mounting angle about y, which the accelerometer's bias along x takes up;
-constant bias and random walk of one axis side by side (one state for their sum); the Earth's
+and its bias; constant bias and random walk of one axis side by side (one state for their sum); the Earth's
 rotation, a fifteenth of the walk of the gyroscopes' bias within a minute.
 """
 
@@ -45,6 +44,7 @@ class Ix(IntEnum):
     PATH_B = 21
     GNSS_DELAY = 22  # by which stamps are too late, s
     WHEEL_DELAY = 23
+    MOUNT_PITCH = 25
     PIVOT = 24  # the vehicle's origin before the point that does not slip sideways, m
 
 
@@ -59,6 +59,7 @@ UNITS = {
     Ix.ACCEL_X: "m/s²",
     Ix.ACCEL_Y: "m/s²",
     Ix.MOUNT_ROLL: "rad",
+    Ix.MOUNT_PITCH: "rad",
     Ix.MOUNT_YAW: "rad",
     Ix.GYRO_SCALE: "1",
     Ix.GNSS_EAST: "m",
@@ -127,6 +128,7 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     (Ix.SPEED, Ix.PITCH),
     (Ix.SPEED, Ix.ACCEL_X),
     (Ix.SPEED, Ix.MOUNT_YAW),
+    (Ix.SPEED, Ix.MOUNT_PITCH),
     (Ix.ROLL, Ix.ROLL),
     (Ix.ROLL, Ix.PITCH),
     (Ix.PITCH, Ix.ROLL),
@@ -141,6 +143,7 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
             Ix.GYRO_Z,
             Ix.MOUNT_ROLL,
             Ix.MOUNT_YAW,
+            Ix.MOUNT_PITCH,
             Ix.GYRO_SCALE,
         )
         if (angle, column) not in ((Ix.PITCH, Ix.GYRO_X), (Ix.YAW, Ix.GYRO_X))

@@ -1,8 +1,9 @@
-"""Reprocessing on two cores: what reads the record runs in a process of its own.
+"""Reprocessing on two cores: demanding processors run in another process than all the rest.
 
-Filters read only what the resampler makes, and they take as long as all the rest. So the record is
-read, decoded and resampled in a forked process; what that makes comes through a pipe, in order, and
-is stepped on through the filters and written here. Order and bytes are those of one process.
+A localisation filter reads only what the resampler makes, and takes as long as everything else. So
+the record is read, decoded and resampled in a forked process; what that makes comes through a pipe,
+in order, and here it is stepped on through the filter and written. On one core the same is done in
+one process: order and bytes are the same.
 """
 
 from __future__ import annotations
@@ -33,21 +34,29 @@ _Expected = tuple[int, str, int, bytes]
 
 
 def part(processors: list[Processor]) -> tuple[list[Processor], list[Processor]]:
-    """Part processors into those that read the record and those that read only what these make.
+    """Part processors into the first ones and the demanding ones behind them, if there are any.
 
-    The second list is empty where they cannot be parted, where only one core is there, and in a
-    process that may have no children (a worker of a pool).
+    Behind is who reads only what processors make that read the record themselves, and what is made
+    behind. All steps then see their samples in the order of the live run, which steps everything
+    that followed from an input before what followed from that.
     """
-    if len(os.sched_getaffinity(0)) == 1 or multiprocessing.current_process().daemon:
+    made = _paths(processors)
+    direct = _paths([each for each in processors if not _inputs(each) <= made])
+    behind = [each for each in processors if each.demanding]
+    for _ in processors:
+        outputs = _paths(behind)
+        behind = [each for each in processors if each in behind or _inputs(each) & outputs]
+    if any(not _inputs(each) <= direct | _paths(behind) for each in behind):
         return processors, []
-    made = {key.path for processor in processors for key in processor.outputs}
-    first, behind = list[Processor](), list[Processor]()
-    for processor in processors:
-        paths = {key.path for key in processor.inputs}
-        (behind if paths <= made else first).append(processor)
-        if not paths <= made and not paths.isdisjoint(made):
-            return processors, []
-    return first, behind
+    return [each for each in processors if each not in behind], behind
+
+
+def _paths(processors: list[Processor]) -> set[str]:
+    return {key.path for processor in processors for key in processor.outputs}
+
+
+def _inputs(processor: Processor) -> set[str]:
+    return {key.path for key in processor.inputs}
 
 
 class Followers:
@@ -57,6 +66,9 @@ class Followers:
     ----------
     processors : list of Processor
         Those behind; fresh ones.
+    plan : Plan
+    take : callable
+        Gets what the first ones make and what follows from it.
     others : collection of str
         Names of the first ones: their memory in a snapshot is not looked at here.
     """
@@ -73,16 +85,14 @@ class Followers:
                 self._steps.setdefault(key.path, []).append(processor.step)
         self._keys: dict[str, Key] = {}
 
-    def take(self, group: _Group) -> None:
-        """Hand on one group of outputs, then what follows from it."""
-        session, log_ns, encoded = group
+    def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
+        """Hand on what followed from one input, then what follows from that."""
         if session != self._session and self._plan.anchored:
             restore(self._plan.sessions[session].snapshot, self._processors, self._others)
         self._session = session
-        outputs = [self._output(*each) for each in encoded]
         self._take(session, log_ns, outputs)
-        work = [sample for sample, _ in outputs]
         following: list[Output] = []
+        work = [sample for sample, _ in outputs]
         for sample in work:  # grows meanwhile
             for step in self._steps.get(sample.key.path, ()):
                 for result in step(sample):
@@ -91,7 +101,8 @@ class Followers:
         if following:
             self._take(session, log_ns, following)
 
-    def _output(self, path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
+    def decode(self, path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
+        """An output that came encoded; its message only if somebody here wants it."""
         key = self._keys.get(path)
         if key is None:
             found = keys.find(path)
@@ -136,27 +147,45 @@ class _Sender:
         self._connection.send(end)
 
 
-def run_apart(
-    record: Record,
-    processors: tuple[list[Processor], list[Processor]],
-    plan: Plan,
-    take: Take,
-    expect: Expect | None,
+def run(
+    record: Record, processors: list[Processor], plan: Plan, take: Take, expect: Expect | None
 ) -> dict[str, int]:
-    """Do what `Reprocessor.run` does with `part`ed processors; return what was missing.
+    """Reprocess `record`; return what the live processors had of each key and the record does not.
+
+    `take` gets the outputs and `expect` the recorded ones; see `reprocess`.
 
     Raises
     ------
     RecordError
         As `Reprocessor.run`, or if the other process was killed.
     """
-    first, behind = processors
-    names = [{processor.name for processor in each} for each in processors]
-    here, there = multiprocessing.Pipe(duplex=False)
-    sender = _Sender(there)
-    run = Reprocessor(record, first, plan, sender.take, names[1])
+    first, behind = part(processors)
+    names = [{processor.name for processor in each} for each in (first, behind)]
+    followers = Followers(behind, plan, take, names[0])
+    # A worker of a pool may have no children.
+    apart = len(os.sched_getaffinity(0)) > 1 and not multiprocessing.current_process().daemon
+    if behind and apart:
+        here, there = multiprocessing.Pipe(duplex=False)
+        sender = _Sender(there)
+        run = Reprocessor(record, first, plan, sender.take, names[1])
+        if expect is not None:
+            run.compare(sender.expect, _paths(behind))
+        return _run_apart(run, sender, (here, there), followers, expect)
+    run = Reprocessor(record, first, plan, followers.take if behind else take, names[1])
     if expect is not None:
-        run.compare(sender.expect, {key.path for each in behind for key in each.outputs})
+        run.compare(expect, _paths(behind))
+    run.run()
+    return run.missing
+
+
+def _run_apart(
+    run: Reprocessor,
+    sender: _Sender,
+    pipe: tuple[Connection, Connection],
+    followers: Followers,
+    expect: Expect | None,
+) -> dict[str, int]:
+    here, there = pipe
 
     def work() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipe's end tells this process to end
@@ -168,10 +197,10 @@ def run_apart(
     process.start()
     there.close()
     try:
-        return _receive(here, Followers(behind, plan, take, names[0]), expect)
+        return _receive(here, followers, expect)
     except EOFError as error:
         raise RecordError(
-            f"{record.paths[0]}: the process that read it was killed; is there enough memory?"
+            "the process that read the record was killed; is there enough memory?"
         ) from error
     finally:
         here.close()
@@ -186,8 +215,8 @@ def _receive(here: Connection, followers: Followers, expect: Expect | None) -> d
         if isinstance(received, dict):
             return received
         groups, expected = received
-        for group in groups:
-            followers.take(group)
+        for session, log_ns, encoded in groups:
+            followers.take(session, log_ns, [followers.decode(*each) for each in encoded])
         if expect is not None:
             for each in expected:
                 expect(*each)

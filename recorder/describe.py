@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -62,8 +63,11 @@ class Description:
         return asdict(self)
 
 
-def describe(record: Record) -> Description:
-    """Read `record` through and describe it; every checksum is looked at on the way."""
+def describe(record: Record, see: Callable[[Entry], None] | None = None) -> Description:
+    """Read `record` through and describe it; every checksum is looked at on the way.
+
+    `see` is shown every message, for whoever would read the record through as well.
+    """
     figures = {
         info.topic: ChannelFigures(info.topic, keys.split(info.topic)[1] or info.topic, info.schema)
         for info in record.channels.values()
@@ -74,6 +78,8 @@ def describe(record: Record) -> Description:
     for entry in record.messages():
         count += 1
         _add(figures[entry.topic], entry, latest)
+        if see is not None:
+            see(entry)
         if figures[entry.topic].type == Loss.DESCRIPTOR.full_name:
             losses.append(record.decode(entry))
     for loss in losses:

@@ -13,10 +13,10 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError, RecordError
 from tramstream.processor import Ordering, Processor
-from tramstream.recorder.apart import part, run_apart
+from tramstream.recorder import apart
 from tramstream.recorder.compare import Comparison
 from tramstream.recorder.reader import Record, open_record
-from tramstream.recorder.reprocess import Output, Plan, Reprocessor, Take, read_plan
+from tramstream.recorder.reprocess import Output, Plan, Take, read_plan
 from tramstream.recorder.writer import CHUNK_BYTES, RecordFile
 
 
@@ -91,15 +91,7 @@ def rerun(
             target.block_bytes = CHUNK_BYTES
             take = _writer(target, name, comparison)
             expect = comparison.expect if comparison is not None else None
-            first, behind = part(processors)
-            if behind:
-                missing = run_apart(record, (first, behind), plan, take, expect)
-            else:
-                run = Reprocessor(record, processors, plan, take)
-                if expect is not None:
-                    run.compare(expect)
-                run.run()
-                missing = run.missing
+            missing = apart.run(record, processors, plan, take, expect)
             outputs = target.message_count
         if comparison is not None:
             comparison.close()

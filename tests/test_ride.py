@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tramstream.geodesy import LocalLevel
+from tramstream.geodesy import LocalLevel, convergence_rad
 from tramstream.line import Line, Segment, built_in_line, parse_plan
 from tramstream.ride import Limits, Ride
 
@@ -187,7 +187,9 @@ def test_truth_message_holds_the_motion_in_its_units() -> None:
     assert truth.arc_length_m == motion.arc_length_m
     assert truth.speed_mps == motion.speed_mps
     assert not truth.standing
-    assert math.isclose(math.cos(truth.yaw_rad), math.cos(float(motion.yaw_rad)))
+    turned = convergence_rad(ride.line.level, math.radians(truth.longitude_deg))
+    expected = float(motion.yaw_rad - turned)
+    assert math.isclose(math.cos(truth.yaw_rad), math.cos(expected))
     geodetic = [
         math.radians(truth.latitude_deg),
         math.radians(truth.longitude_deg),

@@ -5,25 +5,23 @@ Defaults live here, each with its source. Units stand in field names and are SI 
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import math
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import msgspec
 import msgspec.inspect
 from msgspec import Meta
 
 from tramstream.errors import ConfigError
+from tramstream.strict import decode_toml
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=1)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[float, float, float]
-Decoded = TypeVar("Decoded", bound=msgspec.Struct)
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -285,79 +283,6 @@ def load(path: Path) -> Vehicle:
 def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     """Decode configuration text; see `load`."""
     return _resolve(decode_toml(data, Vehicle, name), folder)
-
-
-def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
-    """Decode TOML text into a struct, as strictly as a configuration.
-
-    Parameters
-    ----------
-    data : bytes
-        The text.
-    type_ : type
-        What the whole document is.
-    name : str
-        Of the file, for the sentence.
-
-    Raises
-    ------
-    ConfigError
-        One sentence with the file, the path of the field and what was expected.
-    """
-    try:
-        raw: dict[str, Any] = msgspec.toml.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{name}: not TOML: {error}") from error
-    try:
-        _check(raw, msgspec.inspect.type_info(type_), "$")
-        return msgspec.convert(raw, type_)
-    except (ValueError, msgspec.ValidationError) as error:
-        raise ConfigError(f"{name}: {error}") from error
-
-
-def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
-    """Refuse what msgspec would let pass, or refuse without a cure.
-
-    Raises
-    ------
-    ValueError
-        For an unknown field, with the nearest known ones, and for nan and infinity.
-    """
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{path}: {value} is not a finite number")
-    if isinstance(expected, msgspec.inspect.UnionType):
-        expected = _chosen(expected, value)
-    if isinstance(value, list):
-        item_type = getattr(expected, "item_type", msgspec.inspect.AnyType())
-        for index, item in enumerate(value):
-            _check(item, item_type, f"{path}[{index}]")
-    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.DictType):
-        for name, item in value.items():
-            _check(item, expected.value_type, f"{path}.{name}")
-    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.StructType):
-        known = {field.encode_name: field.type for field in expected.fields}
-        if expected.tag_field:
-            known[expected.tag_field] = msgspec.inspect.AnyType()
-        for name, item in value.items():
-            if name not in known:
-                raise ValueError(_unknown(f"{path}.{name}", name, list(known)))
-            _check(item, known[name], f"{path}.{name}")
-
-
-def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Type:
-    """The member that `value` is: a section that may be absent, or one of several by its tag."""
-    structs = [each for each in union.types if isinstance(each, msgspec.inspect.StructType)]
-    if isinstance(value, dict):
-        structs = [
-            each for each in structs if not each.tag_field or value.get(each.tag_field) == each.tag
-        ]
-    return structs[0] if structs else msgspec.inspect.AnyType()
-
-
-def _unknown(path: str, name: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=2)
-    guess = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"{path}: unknown field; {guess}there are: {', '.join(known)}"
 
 
 def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:

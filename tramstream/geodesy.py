@@ -169,3 +169,15 @@ class LocalLevel:
     def to_geodetic(self, p_l: ArrayLike) -> Array:
         """Geodetic rows of local level positions; rad, rad, m."""
         return geodetic_from_ecef(np.asarray(p_l, dtype=float) @ self.C_le + self.origin_e)
+
+
+def convergence_rad(level: LocalLevel, longitude_rad: ArrayLike) -> Array:
+    """Angle by which yaw in `level` is more than yaw against east of a place at a longitude.
+
+    The direction of the place's east in `level`; it depends on the longitude alone.
+    """
+    longitude = np.asarray(longitude_rad, dtype=float)
+    east_e = np.stack([-np.sin(longitude), np.cos(longitude), np.zeros_like(longitude)], axis=-1)
+    east, north, _ = np.moveaxis(east_e @ level.C_le.T, -1, 0)
+    angle: Array = np.arctan2(north, east)
+    return angle

@@ -6,16 +6,21 @@ result taken row by row (Bar-Shalom et al., section 7.4). All functions work in 
 that the caller owns, keep P symmetric bit by bit, and are held to filterpy's dense `predict` and
 `update` by a test.
 
-numba compiles them once a machine and keeps the result on disk, beside the module or, where that
-may not be written, in the user's cache folder: a filter that is built calls its kernels once, so
-that no step on the vehicle waits for the compiler.
+numba compiles each once a machine and keeps the machine code in the user's cache folder, in one
+folder a state of our sources: numba itself notices when the file of a kernel changes, but not when
+that of another kernel does which it calls.
 """
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import math
+import os
+import tempfile
 from collections.abc import Callable
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -26,13 +31,38 @@ Indices = NDArray[np.int64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def _cache_folder() -> str:
+    """Folder of the machine code that belongs to these sources."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    spec = importlib.util.find_spec("tramstream.processors")
+    places = spec.submodule_search_locations if spec is not None else None
+    for folder in (Path(__file__).parent, *map(Path, places or ())):
+        for file in sorted(folder.glob("*.py")):
+            status = file.stat()
+            digest.update(f"{file}{status.st_size}{status.st_mtime_ns}".encode())
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(root) / "tramstream" / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a vehicle whose root file system is read-only
+        folder = Path(tempfile.gettempdir()) / f"tramstream-{os.getuid()}" / folder.name
+        folder.mkdir(parents=True, exist_ok=True)
+    return str(folder)
+
+
+CACHE_FOLDER = _cache_folder()
+
+
 def compiled(function: F) -> F:
-    """Compile with numba, keep the machine code on disk beside the module or in the user's cache.
+    """Compile with numba when first called; keep the machine code in `CACHE_FOLDER`.
 
     No fast-math: NaN must stay NaN, and two machines of a kind must agree to the bit.
     """
-    jitted: F = numba.njit(cache=True, error_model="numpy")(function)
-    return jitted
+    jitted = numba.njit(error_model="numpy")(function)
+    others, numba.config.CACHE_DIR = numba.config.CACHE_DIR, CACHE_FOLDER
+    jitted.enable_caching()
+    numba.config.CACHE_DIR = others
+    return cast(F, jitted)
 
 
 @compiled
@@ -152,6 +182,7 @@ def update_pair(
     gate: float,
     knee: float,
     K: Array,
+    K2: Array,
     out: Array,
 ) -> None:
     """Take two scalars that belong together: both or none, gated by their joint y S⁻¹ yᵀ.
@@ -170,6 +201,8 @@ def update_pair(
         a model that is not as good as it claims.
     knee, gate : float
         Squared Mahalanobis distances.
+    K, K2 : ndarray, shape (n,)
+        Get the gains, of the second given the first; see `update_scalar`.
     out : ndarray, shape (≥ 2, 2)
         Holds the innovations in its first column; gets, for the second given the first, the
         innovation, and the variances in the second column; those are negative when refused.
@@ -206,4 +239,17 @@ def update_pair(
     for k in range(count2):
         moved += values2[k] * K[columns2[k]]
     out[1, 0] = b - moved * a
-    out[1, 1] = update_scalar(x, P, columns2, values2, count2, out[1, 0], variance, math.inf, K)
+    out[1, 1] = update_scalar(x, P, columns2, values2, count2, out[1, 0], variance, math.inf, K2)
+
+
+@compiled
+def sound(x: Array, P: Array) -> bool:
+    """Whether x and P hold numbers only, and no variance is negative."""
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += abs(x[i])
+        if P[i, i] < 0.0:
+            return False
+        for j in range(x.shape[0]):
+            total += abs(P[i, j])
+    return math.isfinite(total)

@@ -6,6 +6,7 @@ models of this house, `tram` and `kaspar2023`, keep this contract, and so can an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
-from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
 Array = NDArray[np.float64]
-Mode = MotionState.Mode
+STARTING, HEADING_UNKNOWN, TRACKING, DEAD_RECKONING = range(4)
+"""`MotionState.Mode` as plain numbers: looking one up by name there costs as much as a kernel."""
 
 
 class Verdict(NamedTuple):
@@ -39,27 +40,46 @@ class Learned(NamedTuple):
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Estimate:
-    """The vehicle's motion at one instant.
+    """The vehicle's motion at one instant; nobody changes it.
 
     Position is that of the vehicle's origin in `level`; roll, pitch and yaw are those of theory.md
     section 1 against that same frame.
     """
 
     stamp_ns: int
-    mode: Mode
-    p_l: tuple[float, float, float]
-    speed_mps: float
+    mode: int
+    """One of `MotionState.Mode`."""
+    motion: Array
+    """East, north, up, speed along x, roll, pitch, yaw; m, m/s, rad; shape (7,)."""
+    covariance: Array
+    """Of `motion`, shape (7, 7)."""
     acceleration_mps2: float
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
     yaw_rate_radps: float
     standing: bool
-    covariance: Array
-    """Of east, north, up, speed, roll, pitch, yaw; shape (7, 7)."""
     verdicts: list[Verdict] = field(default_factory=list)
+
+    @property
+    def p_l(self) -> tuple[float, float, float]:
+        east, north, up = self.motion[:3].tolist()
+        return east, north, up
+
+    @property
+    def speed_mps(self) -> float:
+        return float(self.motion[3])
+
+    @property
+    def roll_rad(self) -> float:
+        return float(self.motion[4])
+
+    @property
+    def pitch_rad(self) -> float:
+        return float(self.motion[5])
+
+    @property
+    def yaw_rad(self) -> float:
+        return math.remainder(float(self.motion[6]), math.tau)
 
 
 class Localiser(Protocol):
@@ -75,8 +95,11 @@ class Localiser(Protocol):
     def take(self, frame: SyncFrame) -> Estimate | None:
         """Go to the frame's stamp with all that is in it; None while nothing is known."""
 
-    def ahead(self, mean: ImuMean) -> Estimate | None:
-        """Predict from the last frame to a newer inertial mean; they come in order, all of them."""
+    def see(self, mean: ImuMean) -> None:
+        """Take an inertial mean that is newer than the last frame; they come in order."""
+
+    def ahead(self) -> Estimate | None:
+        """Predict from the last frame to the newest mean that was seen."""
 
     def learned(self) -> list[Learned]:
         """Biases, scales, offsets as they stand."""

@@ -64,6 +64,8 @@ class Processor(ABC):
     outputs: ClassVar[tuple[Key, ...]]
     pacing: ClassVar[tuple[Key, ...]] = ()
     """Inputs that move the processor's horizon on; all others may come early: no difference."""
+    demanding: ClassVar[bool] = False
+    """Takes about as long as all others together: reprocessing gives it a core of its own."""
 
     def __init__(self) -> None:
         self._next_sequence: dict[str, int] = {}

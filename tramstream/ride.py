@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tramstream.geodesy import convergence_rad
 from tramstream.line import Line
 from tramstream.proto import raw_pb2
 from tramstream.speed_plan import Limits, plan
@@ -150,7 +151,9 @@ class Ride:
             "latitude_deg": np.degrees(latitude).tolist(),
             "longitude_deg": np.degrees(longitude).tolist(),
             "height_ellipsoid_m": height.tolist(),
-            "yaw_rad": wrapped(motion.yaw_rad).tolist(),
+            "yaw_rad": wrapped(
+                motion.yaw_rad - convergence_rad(self.line.level, longitude)
+            ).tolist(),
             "yaw_rate_radps": motion.yaw_rate_radps.tolist(),
             "standing": motion.standing.tolist(),
             "roll_rad": motion.roll_rad.tolist(),

@@ -23,6 +23,7 @@ from tramstream.inertial import ImuErrors, ImuScales
 from tramstream.odometry import Axle
 from tramstream.receiver import GnssErrors
 from tramstream.speed_plan import Limits
+from tramstream.strict import decode_toml
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -234,7 +235,7 @@ def load(name: str) -> Scenario:
 
 def parse(data: bytes, name: str) -> Scenario:
     """Decode the text of a scenario; `name` is for the sentence of a ConfigError."""
-    return config.decode_toml(data, Scenario, name)
+    return decode_toml(data, Scenario, name)
 
 
 def stated_std_m(gnss: Gnss) -> tuple[float, float]:

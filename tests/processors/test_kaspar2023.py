@@ -444,7 +444,8 @@ def test_nothing_is_known_before_the_first_fix_or_without_inertial_data() -> Non
     drive, localiser = Drive(0.0), Kaspar2023Localiser(vehicle())
     assert run(localiser, drive.frames(0.9)) == []
     assert localiser.level is None
-    assert localiser.ahead(next(drive.frames(0.01)).imu) is None
+    localiser.see(next(drive.frames(0.01)).imu)
+    assert localiser.ahead() is None
     first = next(frame for frame in drive.frames(1.0) if frame.gnss)
     first.gnss[0].valid = False
     assert localiser.take(first) is None
@@ -463,7 +464,8 @@ def test_ahead_predicts_to_the_newest_mean_and_leaves_the_filter() -> None:
     for late, frame in zip(frames[:6000], frames[30:6030], strict=True):
         localiser.take(late)
         before = localiser.snapshot()
-        ahead = localiser.ahead(frame.imu)
+        localiser.see(frame.imu)
+        ahead = localiser.ahead()
         after = localiser.snapshot()
         assert before["x"].tobytes() == after["x"].tobytes()
         assert before["P"].tobytes() == after["P"].tobytes()

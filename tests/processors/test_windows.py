@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import PERIOD_NS, batch, batches, noise, stamp_of
 
+from tramstream.clock import S
 from tramstream.processors.windows import Window, Windows, lowpass_taps, mean_taps
 
 RATE_HZ = 2000.0
@@ -134,3 +135,27 @@ def test_bridge_is_the_straight_line_and_is_marked() -> None:
     assert (third.sample_count, third.bridged_count) == (20, 0)
     np.testing.assert_allclose(second.counts, 29.5, atol=COUNT)
     np.testing.assert_allclose(third.counts, 49.5, atol=COUNT)
+
+
+def test_longest_run_gives_the_windows_of_its_pieces() -> None:
+    """Far more samples than a block has room for, in one batch and in many."""
+    counts = noise(20_000)
+    whole = run(Windows(20, taps_of("mean")), [batch(counts, stamp_of(0), 0)])
+    assert len(whole) == 1000
+    assert run(Windows(20, taps_of("mean")), batches(counts)) == whole
+
+
+def test_counts_of_the_whole_range_are_read() -> None:
+    edges = np.array([-(2**31), 2**31 - 1, -1, 0, 1, 63, -64, 64, -65, 8191, -8192, 8192])
+    (window,) = run(Windows(12, np.arange(1.0, 13.0)), [batch(np.tile(edges, (6, 1)), S, 0)])
+    assert window.counts == (float(np.arange(1, 13) @ edges),) * 6
+
+
+def test_columns_of_different_length_are_refused() -> None:
+    message = batch(noise(20), S, 0).message
+    message.accel_y.append(5)
+    with pytest.raises(ValueError, match="differ in length"):
+        Windows(20, taps_of("mean")).begin(message)
+    del message.accel_y[:]
+    with pytest.raises(ValueError, match="differ in length"):
+        Windows(20, taps_of("mean")).begin(message)

@@ -22,6 +22,7 @@ from tramstream.host import ProcessorNode
 from tramstream.processors.resampler import Resampler
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
+from tramstream.recorder.apart import part
 from tramstream.recorder.rerun import Rerun, rerun
 from tramstream.recorder.writer import RecordFile
 
@@ -140,6 +141,30 @@ def test_two_processes_write_the_bytes_of_one(
         out.parent.mkdir()
         assert again(monkeypatch, ride, out, cores, fresh=fresh).outputs > 2 * STEPS
     assert one.read_bytes() == two.read_bytes()
+
+
+def processor(inputs: tuple[keys.Key, ...], output: keys.Key, demanding: bool = False) -> Resampler:
+    """What `part` looks at, and nothing else."""
+    one = Resampler(CONFIG)
+    one.inputs, one.outputs, one.demanding = inputs, (output,), demanding  # type: ignore[misc]
+    return one
+
+
+def test_parted_are_the_demanding_and_those_behind_them() -> None:
+    first = processor((keys.IMU_BATCH, keys.SYNC_TICK), keys.SYNC_FRAME)
+    beside = processor((keys.SYNC_FRAME,), keys.EST_DISTANCE)
+    demanding = processor((keys.SYNC_FRAME,), keys.EST_STATE, demanding=True)
+    behind = processor((keys.EST_STATE,), keys.EST_LOCATION)
+    assert part([beside, first]) == ([beside, first], [])
+    assert part([behind, beside, demanding, first]) == ([beside, first], [behind, demanding])
+
+
+@pytest.mark.parametrize("other", [keys.ODO_WHEELS, keys.SYNC_TICK, keys.EST_DISTANCE])
+def test_what_would_see_another_order_is_not_parted(other: keys.Key) -> None:
+    first = processor((keys.IMU_BATCH, keys.SYNC_TICK), keys.SYNC_FRAME)
+    beside = processor((keys.SYNC_FRAME,), keys.EST_DISTANCE)
+    demanding = processor((keys.SYNC_FRAME, other), keys.EST_STATE, demanding=True)
+    assert part([first, beside, demanding]) == ([first, beside, demanding], [])
 
 
 @pytest.mark.parametrize("cores", [1, 2])

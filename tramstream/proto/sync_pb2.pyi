@@ -39,18 +39,20 @@ class ImuMean(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., first_sample_sequence: _Optional[int] = ..., sample_count: _Optional[int] = ..., bridged_count: _Optional[int] = ..., interval_s: _Optional[float] = ..., gyro_x_radps: _Optional[float] = ..., gyro_y_radps: _Optional[float] = ..., gyro_z_radps: _Optional[float] = ..., accel_x_mps2: _Optional[float] = ..., accel_y_mps2: _Optional[float] = ..., accel_z_mps2: _Optional[float] = ..., temperature_degc: _Optional[float] = ...) -> None: ...
 
 class SyncFrame(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "imu", "gnss", "odometry")
+    __slots__ = ("stamp_ns", "sequence", "imu", "gnss", "odometry", "ahead")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     IMU_FIELD_NUMBER: _ClassVar[int]
     GNSS_FIELD_NUMBER: _ClassVar[int]
     ODOMETRY_FIELD_NUMBER: _ClassVar[int]
+    AHEAD_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     imu: ImuMean
     gnss: _containers.RepeatedCompositeFieldContainer[_gnss_pb2.GnssFix]
     odometry: _containers.RepeatedCompositeFieldContainer[_raw_pb2.Odometry]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., imu: _Optional[_Union[ImuMean, _Mapping]] = ..., gnss: _Optional[_Iterable[_Union[_gnss_pb2.GnssFix, _Mapping]]] = ..., odometry: _Optional[_Iterable[_Union[_raw_pb2.Odometry, _Mapping]]] = ...) -> None: ...
+    ahead: _containers.RepeatedCompositeFieldContainer[ImuMean]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., imu: _Optional[_Union[ImuMean, _Mapping]] = ..., gnss: _Optional[_Iterable[_Union[_gnss_pb2.GnssFix, _Mapping]]] = ..., odometry: _Optional[_Iterable[_Union[_raw_pb2.Odometry, _Mapping]]] = ..., ahead: _Optional[_Iterable[_Union[ImuMean, _Mapping]]] = ...) -> None: ...
 
 class SyncGap(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "first_missing", "missing_count", "duration_s", "bridged")

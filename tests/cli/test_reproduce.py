@@ -1,0 +1,79 @@
+"""`tramstream reproduce`: works by name, one JSON object, a line that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from tramstream.cli import reproduce as verb
+from tramstream.cli.main import make_app
+from tramstream.errors import ConfigError
+
+DEADLINE_S = 120.0
+COMMAND = [sys.executable, "-m", "tramstream.cli.main", "reproduce", "kaspar2023"]
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(make_app(), ["reproduce", *arguments])
+
+
+def test_unknown_work_is_told_with_those_there_are() -> None:
+    result = run("newton1687")
+    assert isinstance(result.exception, ConfigError)
+    for name in verb.WORKS:
+        assert name in str(result.exception)
+
+
+def test_konecny2004_prints_one_json_object_for_a_seed() -> None:
+    first, second = run("konecny2004", "--seed", "3", "--json"), run("konecny2004", "--json")
+    figures, other = json.loads(first.stdout), json.loads(second.stdout)
+    assert (figures["work"], figures["seed"], other["seed"]) == ("konecny2004", 3, 2004)
+    assert figures["cases"] != other["cases"]
+
+
+def test_line_that_is_not_there_is_told_before_the_rides_begin() -> None:
+    result = run("kaspar2023", "--line", "nowhere.geojson", "--json")
+    assert isinstance(result.exception, ConfigError)
+    assert "nowhere.geojson" in str(result.exception)
+    assert result.stdout == ""
+
+
+@pytest.mark.live
+def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
+    command = [*COMMAND, "--seeds", "1", "--seed", "7", "--duration-s", "45", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=True)
+    figures = json.loads(done.stdout)
+    assert figures["published"]["position_p90_m"] == 0.55
+    assert figures["missing_rides"] == 0
+    kinds = {(ride["model"], ride["wheels"], ride["white"]) for ride in figures["rides"]}
+    models = ("tram", "kaspar2023")
+    expected = {(model, *kind) for model in models for kind in ((2, False), (1, False), (2, True))}
+    assert kinds == expected
+    assert {ride["seed"] for ride in figures["rides"]} == {7}
+    assert len(figures["overall"]) == len(expected)
+    assert done.stderr.count("/3:") == 3
+
+
+@pytest.mark.live
+def test_interrupted_rides_leave_what_was_done() -> None:
+    command = [*COMMAND, "--seeds", "20", "--duration-s", "45", "--json"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        assert process.stdout is not None
+        begun_s = time.monotonic()
+        assert process.stderr.readline().startswith("1/60")
+        process.send_signal(signal.SIGINT)
+        figures = json.loads(process.stdout.read())
+        assert process.wait(DEADLINE_S) == 0
+    assert time.monotonic() - begun_s < DEADLINE_S
+    assert 0 < figures["missing_rides"] < 60
+    assert len(figures["rides"]) == 2 * (60 - figures["missing_rides"])

@@ -1,0 +1,87 @@
+"""TOML into structs, strictly: unknown fields, and numbers that are none, are refused."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from typing import Any, TypeVar
+
+import msgspec
+import msgspec.inspect
+
+from tramstream.errors import ConfigError
+
+Decoded = TypeVar("Decoded", bound=msgspec.Struct)
+
+
+def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
+    """Decode TOML text into a struct, as strictly as a configuration.
+
+    Parameters
+    ----------
+    data : bytes
+        The text.
+    type_ : type
+        What the whole document is.
+    name : str
+        Of the file, for the sentence.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file, the path of the field and what was expected.
+    """
+    try:
+        raw: dict[str, Any] = msgspec.toml.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{name}: not TOML: {error}") from error
+    try:
+        _check(raw, msgspec.inspect.type_info(type_), "$")
+        return msgspec.convert(raw, type_)
+    except (ValueError, msgspec.ValidationError) as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
+    """Refuse what msgspec would let pass, or refuse without a cure.
+
+    Raises
+    ------
+    ValueError
+        For an unknown field, with the nearest known ones, and for nan and infinity.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{path}: {value} is not a finite number")
+    if isinstance(expected, msgspec.inspect.UnionType):
+        expected = _chosen(expected, value)
+    if isinstance(value, list):
+        item_type = getattr(expected, "item_type", msgspec.inspect.AnyType())
+        for index, item in enumerate(value):
+            _check(item, item_type, f"{path}[{index}]")
+    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.DictType):
+        for name, item in value.items():
+            _check(item, expected.value_type, f"{path}.{name}")
+    elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.StructType):
+        known = {field.encode_name: field.type for field in expected.fields}
+        if expected.tag_field:
+            known[expected.tag_field] = msgspec.inspect.AnyType()
+        for name, item in value.items():
+            if name not in known:
+                raise ValueError(_unknown(f"{path}.{name}", name, list(known)))
+            _check(item, known[name], f"{path}.{name}")
+
+
+def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Type:
+    """The member that `value` is: a section that may be absent, or one of several by its tag."""
+    structs = [each for each in union.types if isinstance(each, msgspec.inspect.StructType)]
+    if isinstance(value, dict):
+        structs = [
+            each for each in structs if not each.tag_field or value.get(each.tag_field) == each.tag
+        ]
+    return structs[0] if structs else msgspec.inspect.AnyType()
+
+
+def _unknown(path: str, name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=2)
+    guess = f"did you mean {' or '.join(near)}? " if near else ""
+    return f"{path}: unknown field; {guess}there are: {', '.join(known)}"
