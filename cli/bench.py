@@ -25,13 +25,13 @@ def bench(
     """
     import json
 
-    from tramstream.cli import bench_stages
+    from tramstream.cli import bench_filter, bench_stages
     from tramstream.cli.bench_live import bus_round_trip, live_pipeline
     from tramstream.cli.bench_stages import Figure
     from tramstream.cli.session import say
 
     figures: list[Figure] = []
-    for name, measure in bench_stages.STAGES.items():
+    for name, measure in (bench_stages.STAGES | bench_filter.STAGES).items():
         if only in name:
             say(f"{name} …")
             figures += bench_stages.ubx(ubx) if name == "ubx" else measure()

@@ -32,10 +32,10 @@ from tramstream.errors import ConfigError
 from tramstream.geodesy import normal_gravity_mps2
 from tramstream.inertial import inertial, instability_density
 from tramstream.kernels import Array, compiled, predict_covariance
+from tramstream.processors import tram_frames as frames
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors import tram_measurements as measurements
 from tramstream.processors.alignment import ENOUGH_RAD
-from tramstream.processors.tram_estimate import NO_HEADING_STD_RAD
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_states import COLUMNS, MOTION, ROWS, SIZE, Ix, Pm
 from tramstream.receiver import antenna_motion
@@ -47,6 +47,9 @@ STEP_S = 0.01
 """One step of the fusion horizon; measurements fall on the nearest."""
 EVERY = 5
 """Steps from one row of a series to the next."""
+_HEADING_STD_RAD = 1.0
+"""Of a heading that may be any: who takes the antenna for the vehicle's origin is off by the lever
+arm, as much as this deviation makes of it."""
 _STANDING_STD_MPS = 1e-6
 """Zero, but for arithmetic."""
 _FORGETS = 1e3
@@ -72,15 +75,15 @@ class Series(NamedTuple):
     """Of the ride."""
     covariance: Array
     """(n, 2, 2): of the vehicle's origin, east and north, m²."""
-    speed_std_mps: Array
-    yaw_std_rad: Array
+    std: Array
+    """(n, SIZE): of each state of the model `tram`."""
     yaw_rad: Array
     """The truth."""
 
     @property
     def heading_known(self) -> NDArray[np.bool_]:
         """Whether a filter could be running; before, speed and heading are not judged."""
-        known: NDArray[np.bool_] = np.logical_or.accumulate(self.yaw_std_rad < ENOUGH_RAD)
+        known: NDArray[np.bool_] = np.logical_or.accumulate(self.std[:, Ix.YAW] < ENOUGH_RAD)
         return known
 
 
@@ -90,7 +93,7 @@ def bound(simulation: Simulation) -> Bound:
     Raises
     ------
     ConfigError
-        For a scenario without GNSS or IMU.
+        For a scenario without IMU, or a ride without a fix.
     """
     return figures(series(simulation))
 
@@ -105,8 +108,8 @@ def figures(found: Series) -> Bound:
         position_p90_m=horizontal_quantile_m(found.covariance, 0.9),
         along_rms_m=_root_mean(along),
         across_rms_m=_root_mean(ee + nn - along),
-        speed_std_mps=_root_mean(found.speed_std_mps[known] ** 2),
-        yaw_rms_deg=math.degrees(_root_mean(found.yaw_std_rad[known] ** 2)),
+        speed_std_mps=_root_mean(found.std[known, Ix.SPEED] ** 2),
+        yaw_rms_deg=math.degrees(_root_mean(found.std[known, Ix.YAW] ** 2)),
     )
 
 
@@ -147,25 +150,26 @@ def series(simulation: Simulation) -> Series:
     c, m = navigation.ekf.parameters, navigation.ekf.memory
     _set_noise(c, gnss, imu)
     P = navigation.ekf.P
-    P[Ix.YAW, Ix.YAW] = NO_HEADING_STD_RAD**2
+    P[Ix.YAW, Ix.YAW] = _HEADING_STD_RAD**2
     P[Ix.GNSS_EAST, Ix.GNSS_EAST] = P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] = (
         gnss.errors.horizontal_std_m**2
     )
     P[Ix.GNSS_UP, Ix.GNSS_UP] = gnss.errors.vertical_std_m**2
     constants, wheels = _wheels(simulation, m, c)
-    halves = np.arange(2 * int(simulation.duration_s / STEP_S) + 1) * (STEP_S / 2)
+    count = 2 * int(simulation.duration_s / STEP_S) + 1
+    halves = np.arange(count, dtype=np.float64) * (STEP_S / 2)
     motion = simulation.ride.motion(halves)
     steps = _steps(simulation, halves, motion, gnss, wheels > 0)
+    if not np.any(steps.fix >= 0):
+        raise ConfigError("a bound needs a fix, and this ride is over before there is one")
     first = int(np.argmax(steps.fix >= 0))
-    rows = np.empty((len(range(first, len(steps.fix), EVERY)), 5))
+    rows = np.empty((len(range(first, len(steps.fix), EVERY)), 3 + SIZE))
     _recursion(m, c, steps, constants, first, rows)
-    covariance = rows[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     shown = slice(2 * first, None, 2 * EVERY)
     return Series(
         time_s=halves[shown],
-        covariance=covariance,
-        speed_std_mps=np.sqrt(np.maximum(rows[:, 3], 0.0)),
-        yaw_std_rad=np.sqrt(np.maximum(rows[:, 4], 0.0)),
+        covariance=rows[:, [0, 1, 1, 2]].reshape(-1, 2, 2),
+        std=np.sqrt(np.maximum(rows[:, 3:], 0.0)),
         yaw_rad=motion.yaw_rad[shown],
     )
 
@@ -305,7 +309,7 @@ def _nearest(time_s: Array, count: int) -> NDArray[np.int64]:
 def _recursion(
     m: Array, c: Array, steps: _Steps, constants: _Constants, first: int, rows: Array
 ) -> None:
-    """Covariance from the first fix on; `rows` get ee, en, nn of the place, speed, yaw.
+    """Covariance from the first fix on; `rows` get ee, en, nn of the place, and all variances.
 
     The state is set to the truth before each function that linearises at it, so that their
     innovations do nothing.
@@ -313,6 +317,7 @@ def _recursion(
     x, P = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE))
     truth = x.copy()
     R, out = np.zeros(3), np.zeros((3, 2))
+    work = np.zeros((1 + MOTION.stop, MOTION.stop))
     for k in range(first, len(steps.fix)):
         if k > first:
             if steps.standing[k]:
@@ -322,8 +327,8 @@ def _recursion(
                 x[:] = truth
                 values = m[kernels.ENTRY_VALUES]
                 kernels.transition(x, c, steps.inputs[2 * k - 1], STEP_S, values)
-                work = m[kernels.SCRATCH].reshape((SIZE, SIZE))
-                predict_covariance(P, ROWS, COLUMNS, values, kernels.ENTRY_COUNT, work)
+                scratch = m[kernels.SCRATCH].reshape((SIZE, SIZE))
+                predict_covariance(P, ROWS, COLUMNS, values, kernels.ENTRY_COUNT, scratch)
                 kernels.add_noise(x, P, c, STEP_S)
         truth[: MOTION.stop] = steps.states[2 * k]
         u = steps.inputs[2 * k]
@@ -349,7 +354,7 @@ def _recursion(
                 measurements.velocity(m, c, antenna[3:], variance, math.inf, math.inf, out)
                 x[:] = truth
         if (k - first) % EVERY == 0:
-            _publish(x, P, c, rows[(k - first) // EVERY])
+            _publish(m, c, work, rows[(k - first) // EVERY])
 
 
 @compiled
@@ -370,7 +375,8 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
     """Take the lateral specific force; its noise is that of the last step's turning as well.
 
     y = Hδ + n_f + v n_ω, and n_ω has turned heading, roll and paths in the step: M = E[δ v n_ω].
-    Then S = HPHᵀ + HM + MᵀHᵀ + R and K = (PHᵀ + M)/S.
+    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of `tram_kernels.inertial`, which with a
+    gate that lets nothing pass does no more than to tell it.
 
     References
     ----------
@@ -378,27 +384,24 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
     Navigation, Wiley 2001, section 8.3.
     """
     x, P, K = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE)), m[kernels.GAIN]
-    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
-    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
-    g, v = c[Pm.GRAVITY], x[Ix.SPEED]
-    H, M = np.zeros(SIZE), np.zeros(SIZE)
-    H[Ix.SPEED], H[Ix.ROLL], H[Ix.PITCH] = u[2], g * cp * cr, -g * sp * sr
-    H[Ix.GYRO_Z], H[Ix.ACCEL_Y], H[Ix.GYRO_SCALE] = -v, 1.0, -v * u[2]
-    H[Ix.MOUNT_ROLL], H[Ix.MOUNT_YAW] = u[5] + v * u[1], -u[3]
+    kernels.inertial(m, c, u, u, -1.0)
+    h, columns, count = kernels.row(m, 0), m[kernels.H_COLUMNS], int(m[kernels.SEEN][2])
     variance = c[Pm.LATERAL_VARIANCE]
+    K[:] = 0.0
     if not standing:
-        turned = v * c[Pm.YAW_DENSITY]
-        variance += v * turned / STEP_S
-        M[Ix.ROLL], M[Ix.PITCH], M[Ix.YAW] = turned * sp / cp * cr, -turned * sr, turned * cr / cp
-        M[Ix.PATH_A] = -turned * c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
-        M[Ix.PATH_B] = -turned * c[Pm.SIGN_B] * c[Pm.OFFSET_B] * (1.0 + x[Ix.SCALE_B])
-    K[:] = M
-    for i in range(SIZE):
-        if H[i] != 0.0:
-            variance += H[i] * M[i]
-            K += H[i] * P[i]
-    for i in range(SIZE):
-        variance += H[i] * K[i]
+        sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+        cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
+        turned = x[Ix.SPEED] * c[Pm.YAW_DENSITY]
+        variance += x[Ix.SPEED] * turned / STEP_S
+        K[Ix.ROLL], K[Ix.PITCH], K[Ix.YAW] = turned * tp * cr, -turned * sr, turned * cr / cp
+        K[Ix.PATH_A] = -turned * c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
+        K[Ix.PATH_B] = -turned * c[Pm.SIGN_B] * c[Pm.OFFSET_B] * (1.0 + x[Ix.SCALE_B])
+    for k in range(count):
+        variance += h[k] * K[int(columns[k])]  # HM; the other one comes with HK below
+    for k in range(count):
+        K += h[k] * P[int(columns[k])]
+    for k in range(count):
+        variance += h[k] * K[int(columns[k])]
     for i in range(SIZE):
         for j in range(i + 1):
             P[i, j] -= K[i] * K[j] / variance
@@ -406,21 +409,10 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
 
 
 @compiled
-def _publish(x: Array, P: Array, c: Array, row: Array) -> None:
-    """Covariance of what `tram_estimate.estimate_of` gives out of the filter's states."""
-    cos, sin = math.cos(x[Ix.YAW]), math.sin(x[Ix.YAW])
-    pivot, late = x[Ix.PIVOT], c[Pm.CLOCK_SHARE] * x[Ix.SPEED]
-    T = np.zeros((2, SIZE))
-    T[0, Ix.EAST], T[1, Ix.NORTH] = 1.0, 1.0
-    T[0, Ix.YAW], T[1, Ix.YAW] = -pivot * sin, pivot * cos
-    T[0, Ix.PIVOT], T[1, Ix.PIVOT] = cos, sin
-    T[0, Ix.GNSS_DELAY], T[1, Ix.GNSS_DELAY] = -late * cos, -late * sin
-    row[:3] = 0.0
+def _publish(m: Array, c: Array, work: Array, row: Array) -> None:
+    """What the filter would say of its place, and of its states."""
+    P = m[kernels.COVARIANCE].reshape((SIZE, SIZE))
+    frames.origin(m, c[Pm.CLOCK_SHARE], work[0], work[1:])
+    row[0], row[1], row[2] = work[1, 0], work[1, 1], work[2, 1]
     for i in range(SIZE):
-        if T[0, i] == 0.0 and T[1, i] == 0.0:
-            continue
-        for j in range(SIZE):
-            row[0] += T[0, i] * P[i, j] * T[0, j]
-            row[1] += T[0, i] * P[i, j] * T[1, j]
-            row[2] += T[1, i] * P[i, j] * T[1, j]
-    row[3], row[4] = P[Ix.SPEED, Ix.SPEED], P[Ix.YAW, Ix.YAW]
+        row[3 + i] = P[i, i]

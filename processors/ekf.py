@@ -8,6 +8,7 @@ said in health.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from statistics import NormalDist
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
@@ -20,7 +21,9 @@ from tramstream.kernels import sound
 from tramstream.localisation import HEADING_UNKNOWN, Estimate, Localiser
 from tramstream.place import Places
 from tramstream.processor import Processor, Sample, State
-from tramstream.processors.models import localiser
+from tramstream.processors.models import localiser, traced
+from tramstream.processors.tram_smoother import smooth
+from tramstream.processors.tram_trace import Trace, TracedLocaliser
 from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
@@ -54,6 +57,7 @@ class LocalisationFilter(Processor):
         self._second = 0
         self._said: dict[str, int] = {}
         self._now_count = 0
+        self._ended: list[Trace] = []  # of filters before this one, where it is traced
 
     def step(self, sample: Sample) -> list[Sample]:
         return self._take(sample) + self._now(sample.message)
@@ -65,7 +69,7 @@ class LocalisationFilter(Processor):
         estimate = self.localiser.ahead() if frame.ahead else None
         if estimate is None or not _finite(estimate):
             return []
-        message = self._message(estimate)
+        message = self._message(estimate, self._here())
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if self._now_count % LOCATION_EVERY == 0:
             made.append(self.emit(keys.EST_LOCATION, _location(message), estimate.stamp_ns))
@@ -77,7 +81,8 @@ class LocalisationFilter(Processor):
         made = []
         if estimate is not None:
             if _finite(estimate):
-                made.append(self.emit(keys.EST_STATE, self._message(estimate), estimate.stamp_ns))
+                message = self._message(estimate, self._here())
+                made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
             else:
                 made += self._start_again(sample.stamp_ns)
         if sample.stamp_ns // S != self._second:
@@ -89,7 +94,12 @@ class LocalisationFilter(Processor):
 
     def _start_again(self, stamp_ns: int) -> list[Sample]:
         """Nothing that is no number is ever published; the filter begins anew."""
-        self.localiser = localiser(self._vehicle)
+        self._ended = self._traces()
+        self.localiser = (
+            traced(self._vehicle)
+            if isinstance(self.localiser, TracedLocaliser)
+            else localiser(self._vehicle)
+        )
         self._places = None
         return self._say("the filter's state was no number; it starts again", stamp_ns)
 
@@ -115,12 +125,15 @@ class LocalisationFilter(Processor):
         log = Log(level=Log.Level.WARNING, message=sentence, name=self.name)
         return [self.emit(LOG, log, stamp_ns)]
 
-    def _message(self, estimate: Estimate) -> MotionState:
+    def _here(self) -> Places:
         level = self.localiser.level
         assert level is not None  # there is an estimate
         if self._places is None or self._places.level is not level:
             self._places = Places(level)
-        said = self._places.describe(estimate.motion, estimate.covariance)
+        return self._places
+
+    def _message(self, estimate: Estimate, places: Places) -> MotionState:
+        said = places.describe(estimate.motion, estimate.covariance)
         along, across = said[place.ALONG], said[place.ACROSS]
         mode = estimate.mode
         if mode == HEADING_UNKNOWN:
@@ -150,6 +163,32 @@ class LocalisationFilter(Processor):
                 for name, value, variance, accepted in estimate.verdicts
             ],
         )
+
+    # The whole ride known ------------------------------------------------------------------------
+    def keep(self) -> None:
+        """See `tramstream.processor.Smoothing`.
+
+        Raises
+        ------
+        ConfigError
+            If the model has no smoother.
+        """
+        self.localiser = traced(self._vehicle)
+
+    def smoothed(self) -> Iterator[Sample]:
+        """See `tramstream.processor.Smoothing`."""
+        last_ns = 0
+        for trace in self._traces():
+            places = Places(trace.level)
+            for estimate in smooth(trace).estimates():
+                if estimate.stamp_ns > last_ns and _finite(estimate):
+                    last_ns = estimate.stamp_ns
+                    message = self._message(estimate, places)
+                    yield self.emit(keys.EST_SMOOTHED, message, last_ns)
+
+    def _traces(self) -> list[Trace]:
+        now = self.localiser.traces if isinstance(self.localiser, TracedLocaliser) else []
+        return self._ended + now
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:

@@ -213,7 +213,8 @@ def transition(x: Array, c: Array, u: Array, dt: float, values: Array) -> None:
         values[k + 2] = sign * offset * scale * counted * dt
         values[k + 3] = sign * offset * rate_z * counted * dt
         values[k + 4] = -sign * offset * wy * counted * dt
-        k += 5
+        values[k + 5] = sign * offset * wx * counted * dt
+        k += 6
     decay = math.exp(-c[Pm.GNSS_DECAY] * dt) - 1.0
     values[k] = values[k + 1] = values[k + 2] = decay
 

@@ -28,7 +28,7 @@ _NORTH = slots(
     Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT
 )
 _UP = slots(Ix.UP, Ix.GNSS_UP, Ix.GNSS_DELAY, Ix.SPEED, Ix.PITCH, Ix.ROLL)
-_VELOCITY = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.GYRO_Z)
+_VELOCITY = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.GYRO_Z, Ix.ROLL, Ix.PITCH, Ix.PIVOT)
 _WHEEL_A = slots(Ix.PATH_A, Ix.WHEEL_DELAY, Ix.SPEED)
 _WHEEL_B = slots(Ix.PATH_B, Ix.WHEEL_DELAY, Ix.SPEED)
 _RIM_A = slots(Ix.SPEED, Ix.SCALE_A, Ix.GYRO_Z, Ix.WHEEL_DELAY)
@@ -107,13 +107,20 @@ def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, o
     ahead, aside = v * cp - w * across, w * along
     ve, vn = cy * ahead - sy * aside, sy * ahead + cy * aside
     ae, an = cy * a - w * vn, sy * a + w * ve
-    h[0], h[1], h[2], h[3] = cy * cp, -vn, -ae, cy * across + sy * along
-    h2[0], h2[1], h2[2], h2[3] = sy * cp, ve, -an, sy * across - cy * along
+    h[0], h[1], h[2] = cy * cp, an * delay - vn, -ae
+    h[3] = cy * across + sy * along
+    h2[0], h2[1], h2[2] = sy * cp, ve - ae * delay, -an
+    h2[3] = sy * across - cy * along
+    # A high antenna leans with roll and pitch.
+    swing, sinking = w * c[Pm.ANTENNA_Z], v * math.sin(x[Ix.PITCH])
+    h[4], h[5] = cy * swing, -cy * sinking - sy * swing
+    h2[4], h2[5] = sy * swing, -sy * sinking + cy * swing
+    h[6], h2[6] = -sy * w, cy * w
     out[0, 0] = z[0] - (ve - ae * delay)
     out[1, 0] = z[1] - (vn - an * delay)
-    update_pair(x, P, _VELOCITY, h, 4, _VELOCITY, h2, 4, R, 0.0, gate, knee, K, K2, out)
-    note(m, 0, _VELOCITY, 4, out[0, 0], out[0, 1])
-    note(m, 1, _VELOCITY, 4, out[1, 0], out[1, 1])
+    update_pair(x, P, _VELOCITY, h, 7, _VELOCITY, h2, 7, R, 0.0, gate, knee, K, K2, out)
+    note(m, 0, _VELOCITY, 7, out[0, 0], out[0, 1])
+    note(m, 1, _VELOCITY, 7, out[1, 0], out[1, 1])
 
 
 @compiled

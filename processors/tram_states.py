@@ -151,7 +151,14 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     *(
         (path, column)
         for path, scale in _PATHS
-        for column in (Ix.SPEED, scale, Ix.GYRO_Z, Ix.GYRO_SCALE, Ix.MOUNT_ROLL)
+        for column in (
+            Ix.SPEED,
+            scale,
+            Ix.GYRO_Z,
+            Ix.GYRO_SCALE,
+            Ix.MOUNT_ROLL,
+            Ix.MOUNT_PITCH,
+        )
     ),
     (Ix.GNSS_EAST, Ix.GNSS_EAST),
     (Ix.GNSS_NORTH, Ix.GNSS_NORTH),

@@ -12,7 +12,7 @@ from tramstream import registry
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError, RecordError
-from tramstream.processor import Ordering, Processor
+from tramstream.processor import Ordering, Processor, Smoothing
 from tramstream.recorder import apart
 from tramstream.recorder.compare import Comparison
 from tramstream.recorder.reader import Record, open_record
@@ -25,6 +25,8 @@ class Rerun:
     """What came out."""
 
     outputs: int
+    smoothed: int
+    """How many of them are a smoother's."""
     sessions: int
     duration_s: float
     missing: dict[str, int]
@@ -57,7 +59,12 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
 
 
 def rerun(
-    source: Path, out: Path, config: Path | None, check: bool = False, fresh: bool = False
+    source: Path,
+    out: Path,
+    config: Path | None,
+    check: bool = False,
+    fresh: bool = False,
+    smooth: bool = False,
 ) -> Rerun:
     """Reprocess `source` into `out`.
 
@@ -69,6 +76,8 @@ def rerun(
         Compare with the outputs in the record.
     fresh : bool
         Begin with empty memory at the first message and use what came late.
+    smooth : bool
+        At the end, write also what smoothers say; log times of that are its stamps.
 
     Raises
     ------
@@ -81,6 +90,7 @@ def rerun(
         processors = _processors(vehicle, plan)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
+        smoothers = _smoothers(processors) if smooth else []
         comparison = Comparison() if check else None
         metadata = {
             configs.RECORD_ENTRY: configs.to_json(vehicle),
@@ -92,11 +102,15 @@ def rerun(
             take = _writer(target, name, comparison)
             expect = comparison.expect if comparison is not None else None
             missing = apart.run(record, processors, plan, take, expect)
+            count = target.message_count
+            for smoother in smoothers:
+                _write_smoothed(target, name, smoother)
             outputs = target.message_count
         if comparison is not None:
             comparison.close()
         return Rerun(
             outputs=outputs,
+            smoothed=outputs - count,
             sessions=len(plan.sessions),
             duration_s=(record.end_ns - record.start_ns) / S,
             missing=missing,
@@ -120,6 +134,31 @@ def _writer(target: RecordFile, vehicle: str, comparison: Comparison | None) -> 
                 comparison.make(session, key.path, sample.sequence, payload)
 
     return take
+
+
+def _smoothers(processors: list[Processor]) -> list[Smoothing]:
+    """Those that can smooth, told to keep what it takes.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or the configured model cannot.
+    """
+    smoothers: list[Smoothing] = [each for each in processors if isinstance(each, Smoothing)]
+    for each in smoothers:
+        each.keep()
+    if not smoothers:
+        raise ConfigError("no processor can smooth; leave out --smooth")
+    return smoothers
+
+
+def _write_smoothed(target: RecordFile, vehicle: str, smoother: Smoothing) -> None:
+    """Append what a smoother says; readers put it in its place by its log time."""
+    for sample in smoother.smoothed():
+        payload = sample.message.SerializeToString()
+        stamp_ns = sample.stamp_ns
+        topic = sample.key.on(vehicle)
+        target.append(topic, sample.key, payload, stamp_ns, stamp_ns, sample.sequence)
 
 
 def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:

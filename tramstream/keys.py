@@ -133,7 +133,7 @@ EST_PARAMETERS = _key(
     "est/ekf/parameters", estimate_pb2.FilterParameters, 1, "horizon", "Biases, scales, offsets"
 )
 EST_SMOOTHED = _key(
-    "est/ekf/smoothed", estimate_pb2.MotionState, 100, "state", "Offline: with the whole ride known"
+    "est/ekf/smoothed", estimate_pb2.MotionState, 10, "state", "Offline: with the whole ride known"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------

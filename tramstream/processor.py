@@ -8,7 +8,7 @@ The live loop, reprocessing and the tests call the same `step`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -108,6 +108,17 @@ class Ordering(Protocol):
 
     late_recorded: Mapping[tuple[str, int], LateSample] | None
     """By (key path, publish_ns); None while live."""
+
+
+@runtime_checkable
+class Smoothing(Protocol):
+    """A processor that can go over a ride again with all of it known; for reprocessing."""
+
+    def keep(self) -> None:
+        """Remember from now on what that takes; before the first sample, and never live."""
+
+    def smoothed(self) -> Iterator[Sample]:
+        """What it says now of the ride, in order of stamps; once, after the last sample."""
 
 
 def stamp(message: Any, stamp_ns: int, sequence: int) -> None:
