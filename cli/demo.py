@@ -138,6 +138,18 @@ def _watch(run: Any, stop: Any, duration_s: float, headless: bool) -> None:
         run.until(stop, duration_s, refresh)
 
 
+def _place_rows(report: Any) -> list[tuple[str, str, str]]:
+    """Lines about the localisation filter, if the ride was long enough for a heading."""
+    if report.position_rms_m is None:
+        return []
+    rows = [("position error", f"{report.position_rms_m:.3f} m", "RMS of the localisation filter")]
+    if report.gnss_position_rms_m is not None:
+        rows.append(("", f"{report.gnss_position_rms_m:.3f} m", "RMS of GNSS alone"))
+    if report.yaw_rms_deg is not None:
+        rows.append(("heading error", f"{report.yaw_rms_deg:.3f} °", "RMS"))
+    return rows
+
+
 def _print(report: Any, target: Path) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -158,6 +170,7 @@ def _print(report: Any, target: Path) -> None:
         ("", f"{report.distance_end_m:+.3f} m", "at the end"),
         ("speed error", f"{report.speed_rms_mps:.4f} m/s", "RMS of the estimate"),
         ("", f"{report.gnss_speed_rms_mps:.4f} m/s", "RMS of GNSS alone"),
+        *_place_rows(report),
         ("IMU", f"{rates.get(keys.IMU_BATCH.path, 0) * 20:.0f} Hz", "samples"),
         ("odometry", f"{rates.get(keys.ODO_WHEELS.path, 0):.1f} Hz", ""),
         ("GNSS", f"{rates.get(keys.GNSS_FIX.path, 0):.2f} Hz", ""),

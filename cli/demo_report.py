@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from tramstream import keys
+from tramstream import evaluation, keys
 from tramstream.bridges.simulator_node import FAULTS, OVERRUN
 from tramstream.clock import S
+from tramstream.evaluation import Statistics
+from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.health_pb2 import DeviceHealth, Loss, NodeHealth
 from tramstream.recorder.reader import open_record
+from tramstream.recorder.rerun import vehicle_of
+from tramstream.recorder.series import RideSeries, read_ride
 
 
 @dataclass
@@ -29,6 +33,11 @@ class DemoReport:
     distance_end_m: float = 0.0
     speed_rms_mps: float = 0.0
     gnss_speed_rms_mps: float = 0.0
+    position_rms_m: float | None = None
+    """Horizontal, once the localisation filter knows its heading; None if it never did."""
+    gnss_position_rms_m: float | None = None
+    """The same of the fixes as they are."""
+    yaw_rms_deg: float | None = None
     rates_hz: dict[str, float] = field(default_factory=dict)
     injected: dict[str, int] = field(default_factory=dict)
     found: dict[str, int] = field(default_factory=dict)
@@ -69,12 +78,15 @@ def summarise(path: Path) -> DemoReport:
                 last[key_path] = record.decode(entry)
             elif key.type is Loss:
                 report.lost += record.decode(entry).count
+        ride = read_ride(record, [keys.EST_STATE.path], keys.TRUTH_STATE.path, fixes=True)
+        vehicle = vehicle_of(record, path)
     report.rates_hz = {
         name: (len(times) - 1) * S / (times[-1] - times[0])
         for name, times in sorted(arrivals.items())
         if times[-1] > times[0]
     }
     _errors(report, np.array(truth), np.array(estimate), np.array(gnss))
+    _place(report, ride, vehicle.gnss.lever_arm_m if vehicle.gnss is not None else (0.0, 0.0, 0.0))
     _faults(report, last)
     return report
 
@@ -95,6 +107,24 @@ def _errors(report: DemoReport, truth: Any, estimate: Any, gnss: Any) -> None:
     if len(gnss):
         gnss_truth = np.interp(gnss[:, 0], truth[:, 0], truth[:, 2])
         report.gnss_speed_rms_mps = float(np.sqrt(np.mean((gnss[:, 1] - gnss_truth) ** 2)))
+
+
+def _place(report: DemoReport, ride: RideSeries, lever_arm_v: tuple[float, float, float]) -> None:
+    """Position and heading of the localisation filter, and the fixes', against the truth."""
+    states = ride.states.get(keys.EST_STATE.path)
+    if states is None or ride.truth is None or ride.fixes is None:
+        return
+    known = states.take(states.mode != MotionState.HEADING_UNKNOWN)
+    if len(known.stamp_ns) == 0:
+        return
+    found = evaluation.summary(evaluation.errors(known, ride.truth), 0)
+    raw = evaluation.summary(evaluation.fix_errors(ride.fixes, ride.truth, lever_arm_v), 0)
+    report.position_rms_m, report.yaw_rms_deg = _rms(found["horizontal_m"]), _rms(found["yaw_deg"])
+    report.gnss_position_rms_m = _rms(raw["horizontal_m"])
+
+
+def _rms(statistics: Statistics | None) -> float | None:
+    return None if statistics is None else statistics.rms
 
 
 def _faults(report: DemoReport, last: dict[str, Any]) -> None:

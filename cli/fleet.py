@@ -10,7 +10,7 @@ from pathlib import Path
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import keys
+from tramstream import keys, machine_code
 from tramstream.bus import Bus, Envelope, ZenohBus
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
@@ -98,6 +98,7 @@ def running(
     NodeError
         With a node's own exit status if it ends at its start.
     """
+    machine_code.ensure(say)
     clock = VehicleClock.shared(vehicle.runtime_dir, rate)
     bus = ZenohBus.route(vehicle.runtime_dir, clock)
     end_router = threading.Event()

@@ -12,10 +12,15 @@ the start) begins with the same deviations as in the filter; nothing is known of
 One thing more than the filter does: the noise of the vertical gyroscope, which turns the heading,
 is in the expected lateral force too, and what that force tells of it is taken.
 
-Left out, all of which only makes the bound smaller: multipath, slipping wheels and drifts of
-standing fixes are not there, nor are errors of lever arms, of scales with temperature and across
-axes; pulses are rounded to Gaussian noise of the same variance. The unstable bias is taken for a
-walk with its driving noise, as in the filter: at the times between two stops they are the same.
+A wheel that slips tells nothing, and is known to slip. Left out, all of which only makes the bound
+smaller: multipath and drifts of standing fixes, errors of lever arms, of scales with temperature
+and across axes. Rounding of pulses is taken for Gaussian noise of its variance; the unstable bias
+for a walk with its driving noise, as in the filter: from one stop to the next they are the same.
+
+References
+----------
+P. Tichavský, C. H. Muravchik, A. Nehorai, "Posterior Cramér-Rao bounds for discrete-time nonlinear
+filtering", IEEE Transactions on Signal Processing 46 (1998) 1386-1396.
 """
 
 from __future__ import annotations
@@ -31,22 +36,25 @@ from scipy.optimize import brentq
 from tramstream.errors import ConfigError
 from tramstream.geodesy import normal_gravity_mps2
 from tramstream.inertial import inertial, instability_density
-from tramstream.kernels import Array, compiled, predict_covariance
-from tramstream.processors import tram_frames as frames
-from tramstream.processors import tram_kernels as kernels
-from tramstream.processors import tram_measurements as measurements
+from tramstream.kernels import Array
 from tramstream.processors.alignment import ENOUGH_RAD
+from tramstream.processors.bound_kernels import (
+    EVERY,
+    NOT_READ,
+    READ,
+    SLIPPED,
+    STEP_S,
+    Steps,
+    Variances,
+    recursion,
+)
 from tramstream.processors.tram_navigation import Navigation
-from tramstream.processors.tram_states import COLUMNS, MOTION, ROWS, SIZE, Ix, Pm
+from tramstream.processors.tram_states import MOTION, SIZE, Ix, Pm
 from tramstream.receiver import antenna_motion
 from tramstream.ride import Motion
-from tramstream.scenario import SIDES, Gnss, Imu
+from tramstream.scenario import SIDES, Gnss, Imu, Scenario, Side, Wheels
 from tramstream.simulation import Simulation
 
-STEP_S = 0.01
-"""One step of the fusion horizon; measurements fall on the nearest."""
-EVERY = 5
-"""Steps from one row of a series to the next."""
 _HEADING_STD_RAD = 1.0
 """Of a heading that may be any: who takes the antenna for the vehicle's origin is off by the lever
 arm, as much as this deviation makes of it."""
@@ -88,7 +96,7 @@ class Series(NamedTuple):
 
 
 def bound(simulation: Simulation) -> Bound:
-    """Bound of a ride; the seed does not matter, but where chance takes fixes away.
+    """Bound of a ride; the seed does not matter, but for wheels that slip by chance.
 
     Raises
     ------
@@ -155,16 +163,17 @@ def series(simulation: Simulation) -> Series:
         gnss.errors.horizontal_std_m**2
     )
     P[Ix.GNSS_UP, Ix.GNSS_UP] = gnss.errors.vertical_std_m**2
-    constants, wheels = _wheels(simulation, m, c)
-    count = 2 * int(simulation.duration_s / STEP_S) + 1
-    halves = np.arange(count, dtype=np.float64) * (STEP_S / 2)
+    if simulation.scenario.wheels is not None:
+        _set_wheels(navigation, simulation.scenario.wheels)
+    halves = np.arange(2 * int(simulation.duration_s / STEP_S) + 1, dtype=np.float64)
+    halves *= STEP_S / 2.0
     motion = simulation.ride.motion(halves)
-    steps = _steps(simulation, halves, motion, gnss, wheels > 0)
+    steps = _steps(simulation, halves, motion)
     if not np.any(steps.fix >= 0):
         raise ConfigError("a bound needs a fix, and this ride is over before there is one")
     first = int(np.argmax(steps.fix >= 0))
     rows = np.empty((len(range(first, len(steps.fix), EVERY)), 3 + SIZE))
-    _recursion(m, c, steps, constants, first, rows)
+    recursion(m, c, steps, _variances(simulation.scenario), first, rows)
     shown = slice(2 * first, None, 2 * EVERY)
     return Series(
         time_s=halves[shown],
@@ -172,41 +181,6 @@ def series(simulation: Simulation) -> Series:
         std=np.sqrt(np.maximum(rows[:, 3:], 0.0)),
         yaw_rad=motion.yaw_rad[shown],
     )
-
-
-class _Steps(NamedTuple):
-    """The truth and what is measured; instants are the even rows of what has halves."""
-
-    states: Array
-    """(2n − 1, 7): the motion of `tram_states.MOTION`, without the place."""
-    inputs: Array
-    """(2n − 1, 10): see `tram_kernels.move`."""
-    change: Array
-    """(n, 2): v̇, ψ̇."""
-    standing: NDArray[np.bool_]
-    """(n,): all through the step that ends here."""
-    fix: NDArray[np.int64]
-    """(n,): row of `antenna`, or −1."""
-    antenna: Array
-    """(fixes, 6): from the origin, and its velocity, both in l."""
-    reading: NDArray[np.bool_]
-    """(n,): whether the wheels are read."""
-
-
-class _Constants(NamedTuple):
-    """Variances of what is measured."""
-
-    wheels: int
-    pulse: float
-    """Of a path, m²."""
-    wheel_stamp: float
-    """s²."""
-    fix: float
-    """White, each horizontal axis, m²."""
-    fix_up: float
-    fix_stamp: float
-    velocity: float
-    """(m/s)²; negative if there is none."""
 
 
 def _set_noise(c: Array, gnss: Gnss, imu: Imu) -> None:
@@ -234,38 +208,38 @@ def _set_noise(c: Array, gnss: Gnss, imu: Imu) -> None:
     c[Pm.GNSS_UP_DENSITY] = gnss.errors.vertical_std_m**2 * renewed
 
 
-def _wheels(simulation: Simulation, m: Array, c: Array) -> tuple[_Constants, int]:
-    """Set sides and true scales of the wheels; what is measured with which variance."""
-    gnss, section = simulation.scenario.gnss, simulation.scenario.wheels
+def _set_wheels(navigation: Navigation, section: Wheels) -> None:
+    """Set sides and true scales of the wheels; they have been read once."""
+    axle, ekf = section.axle, navigation.ekf
+    for slot, side in enumerate(_sides(section)):
+        radius_m = axle.radius_m + axle.radius_error_m[SIDES.index(side)]
+        ekf.parameters[Pm.OFFSET_A + slot] = (0.5 - SIDES.index(side)) * axle.track_m
+        ekf.memory[Ix.SCALE_A + slot] = axle.radius_m / radius_m - 1.0
+        ekf.P[Ix.PATH_A + slot, Ix.PATH_A + slot] = axle.m_per_pulse**2 / 12
+
+
+def _sides(section: Wheels) -> list[Side]:
+    return sorted(section.wheels, key=SIDES.index)
+
+
+def _variances(scenario: Scenario) -> Variances:
+    gnss, wheels = scenario.gnss, scenario.wheels
     assert gnss is not None
-    count, pulse, stamp = 0, 0.0, 0.0
-    if section is not None:
-        axle = section.axle
-        count, stamp = len(section.wheels), section.timing.stamp_jitter_s**2
-        pulse = axle.m_per_pulse**2 / 12
-        for slot, side in enumerate(sorted(section.wheels, key=SIDES.index)):
-            radius_m = axle.radius_m + axle.radius_error_m[SIDES.index(side)]
-            c[Pm.OFFSET_A + slot] = (0.5 - SIDES.index(side)) * axle.track_m
-            m[Ix.SCALE_A + slot] = axle.radius_m / radius_m - 1.0
-            P = m[kernels.COVARIANCE].reshape(SIZE, SIZE)
-            P[Ix.PATH_A + slot, Ix.PATH_A + slot] = pulse
     errors = gnss.errors
-    constants = _Constants(
-        wheels=count,
-        pulse=pulse,
-        wheel_stamp=stamp,
+    return Variances(
+        pulse=wheels.axle.m_per_pulse**2 / 12 if wheels else 0.0,
+        wheel_stamp=wheels.timing.stamp_jitter_s**2 if wheels else 0.0,
         fix=errors.white_horizontal_std_m**2,
         fix_up=errors.white_vertical_std_m**2,
         fix_stamp=gnss.timing.stamp_jitter_s**2,
         velocity=errors.velocity_std_mps**2 if gnss.velocity else -1.0,
     )
-    return constants, count
 
 
-def _steps(
-    simulation: Simulation, halves: Array, motion: Motion, gnss: Gnss, wheels: bool
-) -> _Steps:
-    imu, section = simulation.scenario.imu, simulation.scenario.wheels
+def _steps(simulation: Simulation, halves: Array, motion: Motion) -> Steps:
+    """Sample the truth, and lay what is measured on the steps."""
+    gnss, imu = simulation.scenario.gnss, simulation.scenario.imu
+    assert gnss is not None
     assert imu is not None
     level = simulation.line.level
     gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
@@ -278,141 +252,47 @@ def _steps(
     count = len(halves) // 2 + 1
     standing = motion.standing[::2].copy()
     standing[1:] &= motion.standing[1::2]
-    epochs = np.arange(int(simulation.duration_s * gnss.rate_hz) + 1) / gnss.rate_hz
+    epochs = _instants(simulation, gnss.rate_hz)
     epochs = epochs[~simulation.happenings.gnss_lost(epochs)]
     antenna = antenna_motion(
         np.zeros((len(epochs), 3)), simulation.ride.motion(epochs), np.array(gnss.lever_arm_m)
     )
     fix = np.full(count, -1)
     fix[_nearest(epochs, count)] = np.arange(len(epochs))
-    reading = np.zeros(count, dtype=np.bool_)
-    if wheels and section is not None:
-        readings = np.arange(int(simulation.duration_s * section.rate_hz) + 1) / section.rate_hz
-        reading[_nearest(readings, count)] = True
-    return _Steps(
+    return Steps(
         states=states,
         inputs=inputs,
         change=np.stack([motion.acceleration_mps2, motion.yaw_rate_radps], axis=1)[::2].copy(),
         standing=standing,
         fix=fix,
         antenna=np.concatenate(antenna, axis=1),
-        reading=reading,
+        wheels=_readings(simulation, count),
     )
+
+
+def _readings(simulation: Simulation, count: int) -> NDArray[np.int64]:
+    """What each step brings of each wheel."""
+    section = simulation.scenario.wheels
+    if section is None:
+        return np.full((count, 0), NOT_READ)
+    sides = _sides(section)
+    instants = _instants(simulation, section.rate_hz)
+    found = np.full((len(instants), len(sides)), READ)
+    for skid in simulation.happenings.skids:
+        touched = instants > skid.start_s
+        touched[1:] &= instants[:-1] < skid.end_s
+        for slot, side in enumerate(sides):
+            if side in skid.wheels:
+                found[touched, slot] = SLIPPED
+    readings = np.full((count, len(sides)), NOT_READ)
+    readings[_nearest(instants, count)] = found
+    return readings
+
+
+def _instants(simulation: Simulation, rate_hz: float) -> Array:
+    instants: Array = np.arange(int(simulation.duration_s * rate_hz) + 1) / rate_hz
+    return instants
 
 
 def _nearest(time_s: Array, count: int) -> NDArray[np.int64]:
     return np.minimum(np.rint(time_s / STEP_S).astype(np.int64), count - 1)
-
-
-# Compiled -----------------------------------------------------------------------------------------
-@compiled
-def _recursion(
-    m: Array, c: Array, steps: _Steps, constants: _Constants, first: int, rows: Array
-) -> None:
-    """Covariance from the first fix on; `rows` get ee, en, nn of the place, and all variances.
-
-    The state is set to the truth before each function that linearises at it, so that their
-    innovations do nothing.
-    """
-    x, P = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    truth = x.copy()
-    R, out = np.zeros(3), np.zeros((3, 2))
-    work = np.zeros((1 + MOTION.stop, MOTION.stop))
-    for k in range(first, len(steps.fix)):
-        if k > first:
-            if steps.standing[k]:
-                _rest(m, c)
-            else:
-                truth[: MOTION.stop] = steps.states[2 * k - 1]
-                x[:] = truth
-                values = m[kernels.ENTRY_VALUES]
-                kernels.transition(x, c, steps.inputs[2 * k - 1], STEP_S, values)
-                scratch = m[kernels.SCRATCH].reshape((SIZE, SIZE))
-                predict_covariance(P, ROWS, COLUMNS, values, kernels.ENTRY_COUNT, scratch)
-                kernels.add_noise(x, P, c, STEP_S)
-        truth[: MOTION.stop] = steps.states[2 * k]
-        u = steps.inputs[2 * k]
-        m[kernels.ACCELERATION], m[kernels.YAW_RATE] = steps.change[k]
-        x[:] = truth
-        if steps.standing[k]:
-            kernels.standing(m, c, u)
-            x[:] = truth
-        _lateral(m, c, u, steps.standing[k])
-        if steps.reading[k]:
-            stamp = constants.wheel_stamp * x[Ix.SPEED] ** 2
-            for wheel in range(constants.wheels):
-                measurements.path(m, c, wheel, 0.0, constants.pulse + stamp, math.inf, out[0])
-                x[:] = truth
-        if steps.fix[k] >= 0:
-            antenna = steps.antenna[steps.fix[k]]
-            R[0] = constants.fix + constants.fix_stamp * x[Ix.SPEED] ** 2
-            R[1] = constants.fix_up
-            measurements.position(m, c, antenna[:3], R, math.inf, math.inf, out)
-            x[:] = truth
-            if constants.velocity > 0.0 and not steps.standing[k]:
-                variance = constants.velocity
-                measurements.velocity(m, c, antenna[3:], variance, math.inf, math.inf, out)
-                x[:] = truth
-        if (k - first) % EVERY == 0:
-            _publish(m, c, work, rows[(k - first) // EVERY])
-
-
-@compiled
-def _rest(m: Array, c: Array) -> None:
-    """`tram_kernels.rest`, with errors of fixes that go on decaying."""
-    P = m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    keep = math.exp(-c[Pm.GNSS_DECAY] * STEP_S)
-    for slot in range(Ix.GNSS_EAST, Ix.GNSS_UP + 1):
-        for other in range(SIZE):
-            P[slot, other] *= keep
-        for other in range(SIZE):
-            P[other, slot] *= keep
-    kernels.rest(m, c, STEP_S)
-
-
-@compiled
-def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
-    """Take the lateral specific force; its noise is that of the last step's turning as well.
-
-    y = Hδ + n_f + v n_ω, and n_ω has turned heading, roll and paths in the step: M = E[δ v n_ω].
-    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of `tram_kernels.inertial`, which with a
-    gate that lets nothing pass does no more than to tell it.
-
-    References
-    ----------
-    Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
-    Navigation, Wiley 2001, section 8.3.
-    """
-    x, P, K = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE)), m[kernels.GAIN]
-    kernels.inertial(m, c, u, u, -1.0)
-    h, columns, count = kernels.row(m, 0), m[kernels.H_COLUMNS], int(m[kernels.SEEN][2])
-    variance = c[Pm.LATERAL_VARIANCE]
-    K[:] = 0.0
-    if not standing:
-        sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
-        cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
-        turned = x[Ix.SPEED] * c[Pm.YAW_DENSITY]
-        variance += x[Ix.SPEED] * turned / STEP_S
-        K[Ix.ROLL], K[Ix.PITCH], K[Ix.YAW] = turned * tp * cr, -turned * sr, turned * cr / cp
-        K[Ix.PATH_A] = -turned * c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
-        K[Ix.PATH_B] = -turned * c[Pm.SIGN_B] * c[Pm.OFFSET_B] * (1.0 + x[Ix.SCALE_B])
-    for k in range(count):
-        variance += h[k] * K[int(columns[k])]  # HM; the other one comes with HK below
-    for k in range(count):
-        K += h[k] * P[int(columns[k])]
-    for k in range(count):
-        variance += h[k] * K[int(columns[k])]
-    for i in range(SIZE):
-        for j in range(i + 1):
-            P[i, j] -= K[i] * K[j] / variance
-            P[j, i] = P[i, j]
-
-
-@compiled
-def _publish(m: Array, c: Array, work: Array, row: Array) -> None:
-    """What the filter would say of its place, and of its states."""
-    P = m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    frames.origin(m, c[Pm.CLOCK_SHARE], work[0], work[1:])
-    row[0], row[1], row[2] = work[1, 0], work[1, 1], work[2, 1]
-    for i in range(SIZE):
-        row[3 + i] = P[i, i]

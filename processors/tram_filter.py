@@ -182,9 +182,13 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         variance = self.parameters[Pm.LATERAL_VARIANCE]
         return Verdict("lateral_force", math.sqrt(-distance * variance), variance, False)
 
-    def standing(self, u: Array) -> None:
-        """Take what a vehicle that stands shows."""
-        kernels.standing(self.memory, self.parameters, u)
+    def stop(self) -> bool:
+        """Take that the vehicle has no speed; False if its speed had to be forgotten for that."""
+        return bool(measurements.stop(self.memory, self.parameters, SCALAR_GATE))
+
+    def standing(self, u: Array) -> bool:
+        """Take all that a vehicle that stands shows; see `stop`."""
+        return bool(measurements.standing(self.memory, self.parameters, u, SCALAR_GATE))
 
     def position(self, z: Sequence[float], std: float, std_up: float) -> list[Verdict]:
         """Take the antenna's position in l, m; the deviations are those of the white part."""

@@ -36,9 +36,20 @@ ABSURD_SIGMA = 8.0
 ABSURD_S = 60.0
 ABSURD_M = 200.0
 """An error beyond so many deviations for so long and so far is the position's."""
+HUGE_M = 100.0
+"""One of this size is none of multipath; the vehicle need not move until it is the position's."""
+TURNED_STD_RAD = 0.2
+"""Whoever was elsewhere than thought may face elsewhere than thought."""
+HOPELESS = 3
+HOPELESS_S = 600.0
+"""Taken from the fixes so often within so long, the filter does not know what it does."""
+WORST_STD_M = 1000.0
+"""A fix that claims no more than this tells nothing."""
 VELOCITY_FLOOR_MPS = 0.03
 FAR_M = 200_000.0
 """A fix further from the origin is not of this ride."""
+HIGHEST_M = 9000.0
+"""Mount Everest."""
 
 
 def deviations(fix: GnssFix, floor_m: float) -> tuple[float, float]:
@@ -49,7 +60,7 @@ def deviations(fix: GnssFix, floor_m: float) -> tuple[float, float]:
     horizontal, vertical = fix.horizontal_std_m, fix.vertical_std_m
     if not (math.isfinite(horizontal) and horizontal > 0.0):
         horizontal = math.sqrt(2.0) * UNSTATED_STD_M
-    if not (math.isfinite(vertical) and vertical > 0.0):
+    if not (math.isfinite(vertical) and 0.0 < vertical < WORST_STD_M):
         vertical = 1.5 * horizontal
     return max(horizontal / math.sqrt(2.0), floor_m), max(vertical, floor_m)
 
@@ -60,16 +71,23 @@ def unusable(fix: GnssFix, level: LocalLevel | None) -> str:
     if not all(math.isfinite(value) for value in values):
         return "a fix with a position that is no number"
     if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0:
-        return f"a fix at latitude {fix.latitude_deg}°, longitude {fix.longitude_deg}°"
-    if level is not None:
-        radius = 6_371_000.0
-        north = (math.radians(fix.latitude_deg) - level.latitude_rad) * radius
-        east = math.remainder(math.radians(fix.longitude_deg) - level.longitude_rad, math.tau)
-        east *= radius * math.cos(level.latitude_rad)
-        if not math.hypot(north, east) < FAR_M:
-            away_km = math.hypot(north, east) / 1000
-            return f"a fix {away_km:.0f} km away from where the ride began"
+        return "a fix that is nowhere on the Earth"
+    if abs(fix.height_ellipsoid_m) > HIGHEST_M:
+        return "a fix that is not near the ground"
+    if fix.horizontal_std_m > WORST_STD_M and math.isfinite(fix.horizontal_std_m):
+        return "a fix that is good to a kilometre at best"
+    if level is not None and is_far(fix, level):
+        return "a fix hundreds of kilometres away from where the ride began"
     return ""
+
+
+def is_far(fix: GnssFix, level: LocalLevel) -> bool:
+    """Whether a fix cannot be of a ride that began at the origin of `level`."""
+    radius = 6_371_000.0
+    north = (math.radians(fix.latitude_deg) - level.latitude_rad) * radius
+    east = math.remainder(math.radians(fix.longitude_deg) - level.longitude_rad, math.tau)
+    east *= radius * math.cos(level.latitude_rad)
+    return not math.hypot(north, east) < FAR_M
 
 
 def antenna_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float, float]:
@@ -96,6 +114,18 @@ class Fixes:
         self._absurd_m = 0.0
         self._last_ns = 0
         self.accepted_ns = 0
+        """Stamp of the last fix that was believed."""
+        self._taken_ns: list[int] = []  # when the position was taken from the fixes
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the position has been taken from the fixes again and again."""
+        return len(self._taken_ns) >= HOPELESS
+
+    def renew(self, ekf: TramFilter) -> None:
+        """The error of the fixes is another one: after a long pause."""
+        ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1] = 0.0
+        self._std_m, self._refused_ns, self._absurd_ns, self._absurd_m = 0.0, 0, 0, 0.0
 
     def take(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
@@ -107,18 +137,17 @@ class Fixes:
         verdicts = ekf.position(
             z, max(WHITE_SHARE * std, WHITE_FLOOR_M), max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
         )
-        sentence = ""
-        if verdicts[0].accepted:
-            self._refused_ns = 0
-            self.accepted_ns = fix.stamp_ns
-        else:
-            self._refuse(fix.stamp_ns, verdicts, ekf, std)
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
-        if not standing:
-            if fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps"):
-                verdicts += self._velocity(fix, ekf)
-            sentence = self._doubt(fix.stamp_ns, ekf, std, std_up)
+        refused = not verdicts[0].accepted
+        sentence = self._refuse(fix.stamp_ns, verdicts, ekf, std) if refused else ""
+        if not refused:
+            self._refused_ns = 0
+        if not standing and fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps"):
+            verdicts += self._velocity(fix, ekf)
+        sentence = self._doubt(fix.stamp_ns, ekf, std, standing) or sentence
+        if not refused and self._absurd_ns == 0:
+            self.accepted_ns = fix.stamp_ns
         self._last_ns = fix.stamp_ns
         return verdicts, sentence
 
@@ -145,21 +174,23 @@ class Fixes:
         c[Pm.GNSS_UP_DENSITY] = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
         c[Pm.GNSS_DECAY] = 1.0 / self.tau_s
 
-    def _refuse(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> None:
+    def _refuse(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> str:
         if self._refused_ns == 0:
             self._refused_ns = stamp_ns
-        elif stamp_ns - self._refused_ns > ABSORB_S * S:
-            for slot, verdict in zip((Ix.GNSS_EAST, Ix.GNSS_NORTH), verdicts, strict=False):
-                ekf.memory[slot] += verdict.innovation
-                ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
-            self._refused_ns = 0
+        if stamp_ns - self._refused_ns < ABSORB_S * S:
+            return ""
+        for slot, verdict in zip((Ix.GNSS_EAST, Ix.GNSS_NORTH), verdicts, strict=False):
+            ekf.memory[slot] += verdict.innovation
+            ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
+        self._refused_ns = 0
+        return "fixes have not fitted the motion for long; their error is taken for larger"
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""
         ekf.memory[Ix.GNSS_UP] += innovation
         ekf.forget((Ix.GNSS_UP,), (max(std_up, abs(float(ekf.memory[Ix.GNSS_UP]))),))
 
-    def _doubt(self, stamp_ns: int, ekf: TramFilter, std: float, std_up: float) -> str:
+    def _doubt(self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool) -> str:
         """Take the position where the fixes are when their error has been absurd for long."""
         east, north = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
         error = math.hypot(east, north)
@@ -169,21 +200,25 @@ class Fixes:
         if self._absurd_ns == 0:
             self._absurd_ns = stamp_ns
         dt_s = min((stamp_ns - self._last_ns) / S, 2.0)
-        self._absurd_m += abs(float(ekf.memory[Ix.SPEED])) * dt_s
-        if stamp_ns - self._absurd_ns < ABSURD_S * S or self._absurd_m < ABSURD_M:
+        self._absurd_m += 0.0 if standing else abs(float(ekf.memory[Ix.SPEED])) * dt_s
+        far_enough = self._absurd_m > ABSURD_M or error > HUGE_M
+        if stamp_ns - self._absurd_ns < ABSURD_S * S or not far_enough:
             return ""
         self._absurd_ns, self._absurd_m = 0, 0.0
+        recent = [each for each in self._taken_ns if stamp_ns - each < HOPELESS_S * S]
+        self._taken_ns = [*recent, stamp_ns]
         x = ekf.memory
         x[Ix.EAST] += east
         x[Ix.NORTH] += north
         x[Ix.GNSS_EAST] = x[Ix.GNSS_NORTH] = 0.0
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
-        return f"the position was {error:.0f} m away from the fixes for long; taken from them again"
+        ekf.widen(Ix.YAW, TURNED_STD_RAD)
+        return "the position was away from the fixes for long; it is taken from them again"
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        return dict(vars(self))
+        return vars(self) | {"_taken_ns": list(self._taken_ns)}
 
     def restore(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
-            setattr(self, name, value)
+            setattr(self, name, list(value) if name == "_taken_ns" else value)

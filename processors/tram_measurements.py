@@ -1,4 +1,4 @@
-"""What GNSS and wheels would measure in the model `tram`, compiled: innovation, row of H, update.
+"""What GNSS, wheels and standstill show in the model `tram`, compiled: innovation, H, update.
 
 The motion is that of `tram_kernels`; memory and parameters are laid out there. Each function
 returns what the filter reports: innovations, their variances, and the gate's verdict in the sign of
@@ -23,6 +23,9 @@ from tramstream.processors.tram_kernels import (
 )
 from tramstream.processors.tram_states import SIZE, Ix, Pm
 
+_STANDING = slots(Ix.SPEED)
+_LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH)
+_STILL = (slots(Ix.GYRO_X), slots(Ix.GYRO_Y), slots(Ix.GYRO_Z))
 _EAST = slots(Ix.EAST, Ix.GNSS_EAST, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT)
 _NORTH = slots(
     Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT
@@ -166,3 +169,39 @@ def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out
     h[0], h[1], h[2], h[3] = sign * counted, true, sign * offset * counted, -sign * a * counted
     y = speed - true * counted
     out[0], out[1] = y, take(m, 0, columns, 4, y, R, gate)
+
+
+@compiled
+def stop(m: Array, c: Array, gate: float) -> bool:
+    """Take that the vehicle has no speed; one that cannot be is forgotten: then False."""
+    x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
+    row(m, 0)[0] = 1.0
+    if take(m, 0, _STANDING, 1, -x[Ix.SPEED], c[Pm.STANDING_VARIANCE], gate) > 0.0:
+        return True
+    x[Ix.SPEED] = 0.0
+    for i in range(SIZE):
+        P[Ix.SPEED, i] = P[i, Ix.SPEED] = 0.0
+    P[Ix.SPEED, Ix.SPEED] = c[Pm.STANDING_VARIANCE]
+    return False
+
+
+@compiled
+def standing(m: Array, c: Array, u: Array, gate: float = math.inf) -> bool:
+    """Take what a vehicle that stands shows: no speed, biases as rates, gravity along x.
+
+    Gives what `stop` does.
+    """
+    x = m[STATE]
+    stopped = stop(m, c, gate)
+    for axis in range(3):
+        variance = c[Pm.STILL_ROLL_VARIANCE + axis]
+        row(m, 1 + axis)[0] = 1.0
+        take(m, 1 + axis, _STILL[axis], 1, u[axis] - x[Ix.GYRO_X + axis], variance, math.inf)
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
+    gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
+    h = row(m, 4)
+    h[0], h[1], h[2], h[3] = -c[Pm.GRAVITY] * cp, 1.0, u[4], -u[5]
+    force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
+    take(m, 4, _LEVEL, 4, force - gravity, c[Pm.STILL_FORCE_VARIANCE], math.inf)
+    return stopped

@@ -14,6 +14,7 @@ from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.kernels import Array
 from tramstream.localisation import DEAD_RECKONING, TRACKING, Verdict
 from tramstream.processors import tram_frames as frames
+from tramstream.processors.tram_blind import BRIDGED_S, HELD_S, RATE_HELD_S, Blind
 from tramstream.processors.tram_filter import TramFilter, parameters
 from tramstream.processors.tram_fixes import Fixes, deviations, unusable
 from tramstream.processors.tram_states import PARAMETERS, Ix, Pm
@@ -34,6 +35,13 @@ LEAVING_STD_MPS = 0.01
 BLIND_LEAVING_STD_MPS = 0.3
 """Speed that standing may hide in its last moment, with wheels and without."""
 LEAST_STEP_S = 1e-6
+LONGEST_STEP_S = 0.1
+"""Through a pause the filter goes in steps: what a step adds to the speed moves the next one."""
+ASTRAY_S = 0.5
+"""A measurement so far outside of its frame has a stamp that is wrong."""
+FASTEST_RADPS = 10.0
+HARDEST_MPS2 = 100.0
+"""No vehicle turns faster or is pushed harder; a reading beyond is none."""
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
 
@@ -57,6 +65,8 @@ class Navigation:
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
         self._read_ns = 0
+        self._blind = Blind(vehicle, self.ekf.parameters)
+        self._has_imu = imu is not None
         self._still_floor = np.zeros(2)
         if imu is not None:
             rate, force = imu.gyro_noise_radps_rthz, imu.accel_noise_mps2_rthz
@@ -93,34 +103,59 @@ class Navigation:
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
-        """Take over the frame's inertial reading, or the bus' yaw rate; False without either."""
-        if frame.HasField("imu"):
-            return self._read_imu(frame.imu)
+        """Take over the frame's inertial reading, or the bus' yaw rate; False without a reading."""
+        if frame.HasField("imu") and self._read_imu(frame.imu):
+            return True
+        if frame.stamp_ns - self._read_ns < HELD_S * S:
+            return False
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
         if rates and math.isfinite(rates[-1].yaw_rate_radps):
             self._read_rate(rates[-1])
+        elif frame.stamp_ns - self._rate_ns > RATE_HELD_S * S:
+            for row in self.inputs[1:3]:
+                self._blind.hold(row, self.ekf.memory)
+            self._blind.begin(self.ekf.parameters)
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
-        dt = (mean.stamp_ns - self._read_ns) / S if self._read_ns else 0.0
-        if dt > 0.1:  # a gap: what was before says nothing about what acted in it
-            dt = 0.0
         gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
         ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
-        if not math.isfinite(gx + gy + gz + ax + ay + az):
-            self.complaints.append("an inertial reading that is no number; the one before is kept")
+        # Comparisons with what is no number are false.
+        if not (
+            abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
+            and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2
+        ):
+            self.complaints.append("an inertial reading that cannot be was left out")
             return False
-        frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        dt = (mean.stamp_ns - self._read_ns) / S if self._read_ns else 0.0
+        pause = dt > HELD_S
+        if pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0):
+            frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, 0.0)
+            self._blind.hold(self.inputs[2], self.ekf.memory)
+            self._blind.begin(self.ekf.parameters)
+        else:
+            frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+            if pause:
+                self._blind.bridge(self.ekf.parameters, dt)
+            else:
+                self._blind.end(self.ekf.parameters)
         self._read_ns = mean.stamp_ns
         return True
 
     def _read_rate(self, reading: Odometry) -> None:
         """The bus' own yaw rate stands for a gyroscope; its white noise lasts one interval."""
-        self.inputs[1:, :] = 0.0
-        self.inputs[1:, 2] = reading.yaw_rate_radps
+        c, bias = self.ekf.parameters, float(self.ekf.memory[Ix.GYRO_Z])
+        for row in self.inputs[1:3]:
+            self._blind.hold(row, self.ekf.memory)
+        if self._has_imu:  # the bias that the filter knows is not that of this sensor
+            self._blind.begin(c)
+        else:
+            self._blind.end(c)
+            bias = 0.0
+        self.inputs[1:3, 2] = reading.yaw_rate_radps + bias
         if self._rate_ns:
             interval = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
-            self.ekf.parameters[Pm.YAW_DENSITY] = self._yaw_rate_variance * interval
+            c[Pm.YAW_DENSITY] = self._yaw_rate_variance * interval
         self._rate_ns = reading.stamp_ns
 
     # One frame -----------------------------------------------------------------------------------
@@ -141,12 +176,14 @@ class Navigation:
         verdicts: list[Verdict] = []
         if frame.gnss or frame.odometry:
             for measurement in sorted((*frame.gnss, *frame.odometry), key=_stamp):
+                if not self._of(measurement.stamp_ns, frame.stamp_ns):
+                    continue
                 self._advance(min(measurement.stamp_ns, frame.stamp_ns), standing)
                 verdicts += self._measure(measurement, standing)
         self._advance(frame.stamp_ns, standing)
         if noise is None:
             if standing:
-                ekf.memory[Ix.SPEED] = 0.0
+                ekf.stop()
             return verdicts
         u = self.inputs[1]
         if standing:
@@ -163,8 +200,18 @@ class Navigation:
         if standing:
             self.ekf.rest(dt)
         else:
+            while dt > LONGEST_STEP_S:
+                self.ekf.predict(self.inputs[2], LONGEST_STEP_S)
+                dt -= LONGEST_STEP_S
             self.ekf.predict(self.inputs[2], dt)
         self.stamp_ns = stamp_ns
+
+    def _of(self, stamp_ns: int, frame_ns: int) -> bool:
+        """Whether a measurement belongs where it is: behind the last frame, not beyond this one."""
+        fits = -ASTRAY_S * S < stamp_ns - self.stamp_ns and stamp_ns - frame_ns < ASTRAY_S * S
+        if not fits:
+            self.complaints.append("a measurement that is not of its frame's time was left out")
+        return fits
 
     def _stand(self, u: Array, noise: Array) -> None:
         c = self.ekf.parameters
@@ -203,6 +250,7 @@ class Navigation:
             return
         ax, ay, az = vehicle.gnss.lever_arm_m
         c[Pm.ANTENNA_X], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z] = ax, ay, az
+        ax += float(ekf.memory[Ix.PIVOT])
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
         east, north = cos * ax - sin * ay, sin * ax + cos * ay
         ekf.memory[Ix.EAST] -= east
@@ -225,6 +273,9 @@ class Navigation:
         since_ns = stamp_ns - self.fixes.accepted_ns
         return DEAD_RECKONING if since_ns > LOST_S * S else TRACKING
 
+    def begin(self) -> None:
+        """Go on with a heading that is known again without having been sought."""
+
     def accuracy_m(self, fix: GnssFix) -> float:
         """Deviation of a fix on each horizontal axis."""
         return deviations(fix, self.fixes.floor_m)[0]
@@ -238,6 +289,7 @@ class Navigation:
             "inputs": self.inputs.copy(),
             "read_ns": self._read_ns,
             "rate_ns": self._rate_ns,
+            "blind": self._blind.snapshot(),
             "stood": self.stood,
             "wheels": self.wheels.snapshot(),
             "fixes": self.fixes.snapshot(),
@@ -249,6 +301,7 @@ class Navigation:
         self.stamp_ns, self._read_ns = state["stamp_ns"], state["read_ns"]
         self.inputs = np.array(state["inputs"])
         self._rate_ns, self.stood = state["rate_ns"], state["stood"]
+        self._blind.restore(state["blind"])
         self.wheels.restore(state["wheels"])
         self.fixes.restore(state["fixes"])
 

@@ -199,9 +199,17 @@ class TracedFilter(TramFilter):
         self._updated()
         return verdict
 
-    def standing(self, u: Array) -> None:
-        super().standing(u)
+    def stop(self) -> bool:
+        return self._stopped(super().stop())
+
+    def standing(self, u: Array) -> bool:
+        return self._stopped(super().standing(u))
+
+    def _stopped(self, stopped: bool) -> bool:
+        if not stopped and self.trace is not None:
+            self.trace.made_anew(Ix.SPEED)
         self._updated()
+        return stopped
 
     def position(self, z: Any, std: float, std_up: float) -> list[Verdict]:
         verdicts = super().position(z, std, std_up)

@@ -25,9 +25,16 @@ AGREE_SIGMA = 3.0
 GIVE_IN_S = 20.0
 """... or when it has disagreed for so long: then the filter's speed is wrong, not the wheel."""
 MAX_PAUSE_S = 0.5
-"""After a longer pause a path says nothing about the wheel's grip."""
+"""After a longer pause a path says nothing about the wheel's grip,"""
+LONGEST_PAUSE_S = 20.0
+BLIND_STD_M = 0.3
+"""but up to this one it says more than a filter that knows its way no better."""
 MAX_MPS = 40.0
 """A counter that runs faster has started anew."""
+MAX_ROLL_M = 0.02
+"""By so much a wheel may roll while the vehicle stands."""
+COUNTS_DOWN = 2
+"""Readings in a row by which a counter is seen to count down; one may have started anew."""
 BACKWARDS_MPS = 0.3
 TURNING_MPS = 0.03
 """A wheel that gives its speed turns above this."""
@@ -44,6 +51,7 @@ class Wheel:
     slip_ns: int = 0  # since when
     agreed_ns: int = 0  # since when it agrees again
     signed: bool = False  # has counted down
+    down: int = 0  # readings in a row in which it has
 
 
 class WheelPair:
@@ -93,11 +101,11 @@ class WheelPair:
             wheel = self._wheels.get(each.wheel)
             if each.HasField("pulses"):
                 if wheel is not None and wheel.pulses is not None:
-                    ways.append((each.pulses - wheel.pulses) * self._m_per_pulse)
-            elif each.HasField("speed_mps") and abs(each.speed_mps) > TURNING_MPS:
-                ways.append(each.speed_mps)
+                    way = (each.pulses - wheel.pulses) * self._m_per_pulse
+                    pause_s = (reading.stamp_ns - wheel.stamp_ns) / S
+                    ways.append(way if abs(way) < MAX_MPS * max(pause_s, 0.05) else 0.0)
             elif each.HasField("speed_mps"):
-                ways.append(0.0)
+                ways.append(each.speed_mps if abs(each.speed_mps) > TURNING_MPS else 0.0)
         if not ways:
             return None
         return any(way != 0.0 for way in ways), sum(ways) / len(ways)
@@ -119,6 +127,20 @@ class WheelPair:
                 verdicts.append(verdict)
         return verdicts
 
+    def counted(self, frames: list[SyncFrame]) -> float:
+        """What all wheels together have counted in `frames`: metres, or seconds times speed."""
+        last: dict[str, Wheel] = {}
+        total = 0.0
+        for frame in frames:
+            for reading in frame.odometry:
+                for each in reading.wheels:
+                    if each.HasField("pulses"):
+                        wheel = last.setdefault(each.wheel, Wheel(0))
+                        total += self._count(wheel, each.pulses, reading.stamp_ns) or 0.0
+                    elif each.HasField("speed_mps") and math.isfinite(each.speed_mps):
+                        total += each.speed_mps
+        return total
+
     def direction(self, counted: float) -> float:
         """1 forwards, −1 backwards, 0 if the wheels do not tell: they may count up both ways."""
         if counted < 0.0:
@@ -135,21 +157,37 @@ class WheelPair:
         for each in reading.wheels:
             wheel = self._wheels.get(each.wheel)
             if wheel is not None and each.HasField("pulses"):
-                wheel.signed |= wheel.pulses is not None and each.pulses < wheel.pulses
-                wheel.pulses, wheel.stamp_ns = each.pulses, reading.stamp_ns
+                self._count(wheel, each.pulses, reading.stamp_ns)
 
-    def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
+    def slipping_s(self, stamp_ns: int) -> float:
+        """For how long a wheel has not fitted the motion."""
+        return max(((stamp_ns - w.slip_ns) / S for w in self._wheels.values() if w.slipping), default=0.0)
+
+    def counters(self) -> dict[str, int]:
+        """Pulses of each wheel, as they were last read."""
+        return {n: each.pulses for n, each in self._wheels.items() if each.pulses is not None}
+
+    def _count(self, wheel: Wheel, pulses: int, stamp_ns: int) -> float | None:
+        """Way since the last reading, m; None if there is none, or the counter started anew."""
         before, before_ns = wheel.pulses, wheel.stamp_ns
         wheel.pulses, wheel.stamp_ns = pulses, stamp_ns
-        speed = float(ekf.memory[Ix.SPEED])
-        variance = self._m_per_pulse**2 * QUANTISATION + speed**2 * self._stamp_variance
         pause_s = (stamp_ns - before_ns) / S
         if before is None or pause_s <= 0.0:
-            ekf.tie(wheel.slot, variance)
             return None
         way = (pulses - before) * self._m_per_pulse
-        wheel.signed |= way < 0.0
-        if pause_s > MAX_PAUSE_S or abs(way) > MAX_MPS * max(pause_s, 0.05):
+        if abs(way) > MAX_MPS * max(pause_s, 0.05):
+            return None
+        if way != 0.0:
+            wheel.down = wheel.down + 1 if way < 0.0 else 0
+            wheel.signed |= wheel.down >= COUNTS_DOWN
+        return way
+
+    def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
+        pause_s = (stamp_ns - wheel.stamp_ns) / S
+        way = self._count(wheel, pulses, stamp_ns)
+        speed = float(ekf.memory[Ix.SPEED])
+        variance = self._m_per_pulse**2 * QUANTISATION + speed**2 * self._stamp_variance
+        if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             ekf.tie(wheel.slot, variance)
             return None
         self._turn_sign(wheel, way, speed, ekf)
@@ -161,6 +199,11 @@ class WheelPair:
             self.slips += 1
             ekf.tie(wheel.slot, variance)
         return verdict
+
+    def _counts(self, wheel: Wheel, pause_s: float, ekf: TramFilter) -> bool:
+        """Whether what was counted in a pause says more than what the filter knows of it."""
+        slot = Ix.PATH_A + wheel.slot
+        return pause_s < LONGEST_PAUSE_S and float(ekf.P[slot, slot]) > BLIND_STD_M**2
 
     def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
@@ -221,18 +264,3 @@ class WheelPair:
     def restore(self, state: dict[str, Any]) -> None:
         self.slips = state["slips"]
         self._wheels = {name: Wheel(**fields) for name, fields in state["wheels"].items()}
-
-
-def counted(frames: list[SyncFrame]) -> float:
-    """What all wheels together have counted in `frames`: pulses, or seconds times speed."""
-    first: dict[str, int] = {}
-    total = 0.0
-    for frame in frames:
-        for reading in frame.odometry:
-            for wheel in reading.wheels:
-                if wheel.HasField("pulses"):
-                    total += wheel.pulses - first.get(wheel.wheel, wheel.pulses)
-                    first[wheel.wheel] = wheel.pulses
-                elif wheel.HasField("speed_mps"):
-                    total += wheel.speed_mps
-    return total

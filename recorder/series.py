@@ -239,14 +239,15 @@ class _Fixes(_Columns):
     width = 6
 
     def add(self, message: Any) -> None:
+        moves = message.HasField("vel_n_mps")  # else speed and course are 0 for want of better
         self.stamp_ns.append(message.stamp_ns)
         self.numbers.extend(
             (
                 message.latitude_deg,
                 message.longitude_deg,
                 message.height_ellipsoid_m,
-                message.speed_mps,
-                message.course_deg,
+                message.speed_mps if moves else _NAN,
+                message.course_deg if moves else _NAN,
                 message.valid and not message.invalid_llh,
             )
         )

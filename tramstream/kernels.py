@@ -6,60 +6,36 @@ result taken row by row (Bar-Shalom et al., section 7.4). All functions work in 
 that the caller owns, keep P symmetric bit by bit, and are held to filterpy's dense `predict` and
 `update` by a test.
 
-numba compiles each once a machine and keeps the machine code in the user's cache folder, in one
-folder a state of our sources: numba itself notices when the file of a kernel changes, but not when
-that of another kernel does which it calls.
+numba compiles each once a machine; where it keeps the machine code, `machine_code` tells.
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import math
-import os
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from tramstream import machine_code
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _cache_folder() -> str:
-    """Folder of the machine code that belongs to these sources."""
-    digest = hashlib.sha256(numba.__version__.encode())
-    spec = importlib.util.find_spec("tramstream.processors")
-    places = spec.submodule_search_locations if spec is not None else None
-    for folder in (Path(__file__).parent, *map(Path, places or ())):
-        for file in sorted(folder.glob("*.py")):
-            status = file.stat()
-            digest.update(f"{file}{status.st_size}{status.st_mtime_ns}".encode())
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(root) / "tramstream" / digest.hexdigest()[:16]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a vehicle whose root file system is read-only
-        folder = Path(tempfile.gettempdir()) / f"tramstream-{os.getuid()}" / folder.name
-        folder.mkdir(parents=True, exist_ok=True)
-    return str(folder)
-
-
-CACHE_FOLDER = _cache_folder()
+_FOLDER = str(machine_code.folder())
 
 
 def compiled(function: F) -> F:
-    """Compile with numba when first called; keep the machine code in `CACHE_FOLDER`.
+    """Compile with numba when first called; keep the machine code on disk.
 
     No fast-math: NaN must stay NaN, and two machines of a kind must agree to the bit.
     """
     jitted = numba.njit(error_model="numpy")(function)
-    others, numba.config.CACHE_DIR = numba.config.CACHE_DIR, CACHE_FOLDER
+    others, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _FOLDER
     jitted.enable_caching()
     numba.config.CACHE_DIR = others
     return cast(F, jitted)

@@ -16,7 +16,7 @@ from tramstream.geodesy import normal_gravity_mps2
 from tramstream.processors import bound
 from tramstream.processors.bound import STEP_S, Series
 from tramstream.processors.tram_states import Ix
-from tramstream.scenario import Scenario
+from tramstream.scenario import Scenario, Slip, Tunnel, load
 from tramstream.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -205,16 +205,26 @@ def test_second_wheel_holds_the_heading() -> None:
 
 
 def test_tunnel_lets_it_grow() -> None:
-    event = {"start_s": 60.0, "duration_s": 60.0}
-    from tramstream.scenario import Tunnel
-
-    chosen = altered(reference(), events=(Tunnel(**event),))
+    chosen = altered(reference(), events=(Tunnel(start_s=60.0, duration_s=60.0),))
     dark = bound.series(Simulation(laid(BENT, 0.0), chosen, 1, 118.0))
     light = series(BENT, 118.0)
     trace = np.trace(dark.covariance, axis1=1, axis2=2)
     at_60, at_115 = (int(np.searchsorted(dark.time_s, t)) for t in (59.0, 115.0))
     assert trace[at_115] > 1.5 * trace[at_60]
     np.testing.assert_array_equal(dark.covariance[:at_60], light.covariance[:at_60])
+
+
+def test_wheel_that_slips_is_worth_no_more_than_none() -> None:
+    slip = Slip(start_s=40.0, duration_s=30.0, wheels=("left",), factor=1.2)
+    one = {"wheels__wheels": ("left",)}
+    clean = series(BENT, 100.0, **one)
+    slipping = series(BENT, 100.0, events=(slip,), **one)
+    without = series(BENT, 100.0, wheels=None)
+    before, at_60, end = (np.searchsorted(clean.time_s, t) for t in (39.0, 60.0, 99.0))
+    np.testing.assert_array_equal(slipping.covariance[:before], clean.covariance[:before])
+    speed = Ix.SPEED
+    assert 2.0 * clean.std[at_60, speed] < slipping.std[at_60, speed] < without.std[at_60, speed]
+    assert slipping.std[end, speed] < 1.5 * clean.std[end, speed]  # it counts again
 
 
 # Against the filter -------------------------------------------------------------------------------
@@ -225,8 +235,6 @@ def test_scenario_without_inertial_sensor_has_none() -> None:
 
 @pytest.mark.parametrize("name", ["city", "kaspar2023"])
 def test_bound_of_a_whole_scenario_is_finite_and_below_raw_fixes(name: str) -> None:
-    from tramstream.scenario import load
-
     chosen = load(name)
     found = bound.bound(Simulation(laid(BENT, 0.0), chosen, 1, 120.0))
     raw = math.sqrt(2.0 * math.log(10.0)) * chosen.gnss.errors.horizontal_std_m

@@ -1,0 +1,73 @@
+"""What carries the model `tram` on while no inertial reading comes.
+
+Speed is left to itself and may change as that of a tram does. The heading turns as the bus' own
+yaw rate says where there is one; else nothing tells it but the wheels, by their difference, and so
+its noise is as large as a tram turns in a curve.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tramstream.config import Vehicle
+from tramstream.kernels import Array
+from tramstream.processors.tram_states import Ix, Pm
+
+HELD_S = 0.1
+"""So long an inertial reading is good for; ten of them were due."""
+RATE_HELD_S = 1.0
+"""So long a yaw rate of the bus, which comes less often."""
+BRIDGED_S = 2.0
+"""Over a shorter pause, the mean of the readings on either side is better than none."""
+YAW_STD_RAD_RTS = 0.07
+"""How the heading may turn unseen: 0.3 rad/s (20 m at 6 m/s) between readings of the wheels."""
+
+_MOVING = slice(int(Pm.ACCEL_DENSITY), int(Pm.YAW_DENSITY) + 1)
+
+
+class Blind:
+    """Exchanges the densities of the model's noise; the parameters stay the filter's.
+
+    Parameters
+    ----------
+    c : ndarray, shape (PARAMETERS,)
+        As they are with inertial readings, or, for a vehicle without an IMU, with a yaw rate.
+    """
+
+    def __init__(self, vehicle: Vehicle, c: Array) -> None:
+        accel, tilt = vehicle.ekf.acceleration_std_mps2_rthz, vehicle.ekf.tilt_std_rad_rts
+        self._sighted = c[_MOVING].copy()
+        self._blind = np.array([accel, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
+        self.active = False
+        """Whether the densities are others than those with readings."""
+
+    def begin(self, c: Array) -> None:
+        """Nothing tells of the motion."""
+        c[_MOVING] = self._blind
+        self.active = True
+
+    def bridge(self, c: Array, pause_s: float) -> None:
+        """Readings on either side of a pause tell of it, the less the longer it was."""
+        c[_MOVING] = self._sighted + (pause_s / BRIDGED_S) ** 2 * self._blind
+        self.active = True
+
+    def end(self, c: Array) -> None:
+        """Readings come again."""
+        if self.active:
+            c[_MOVING] = self._sighted
+            self.active = False
+
+    @staticmethod
+    def hold(row: Array, memory: Array) -> None:
+        """Fill a row of inputs so that no rate and no force act."""
+        row[:] = 0.0
+        row[:3] = memory[Ix.GYRO_X : Ix.GYRO_Z + 1]
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {"active": self.active}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.active = state["active"]
