@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-WORKS = ("konecny2004", "kaspar2023")
+WORKS = ("konecny2004", "kaspar2023", "drives")
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,8 @@ class Options:
     lines: tuple[str, ...]
     duration_s: float | None
     json: bool
+    data: Path | None = None
+    mappings: Path | None = None
 
 
 def reproduce(
@@ -40,14 +43,21 @@ def reproduce(
     duration_s: Annotated[
         float, typer.Option("--duration-s", help="kaspar2023: end rides early; 0 is never.", min=0)
     ] = 0.0,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="drives: where they are; default ../shared/data/drives.", metavar="DIR"),
+    ] = None,
+    mappings: Annotated[
+        Path | None, typer.Option(help="drives: of mapping files; default mappings.", metavar="DIR")
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Reproduce the figures of a published work."""
+    """Reproduce the figures of a published work, or ours on the real drives."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
 
     if name not in WORKS:
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
-    options = Options(seed, seeds, tuple(line or ()), duration_s or None, json_)
+    options = Options(seed, seeds, tuple(line or ()), duration_s or None, json_, data, mappings)
     import_module(f"tramstream.cli.reproduce_{name}").reproduce(options)

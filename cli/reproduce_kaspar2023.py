@@ -19,6 +19,7 @@ from rich.table import Table
 from tramstream.cli.reproduce import Options
 from tramstream.cli.session import say, stop_on_signals
 from tramstream.processors import kaspar2023_study as study
+from tramstream.processors.bound import Bound
 from tramstream.processors.kaspar2023_study import PUBLISHED, Case, Figures, Overall
 from tramstream.processors.models import MODELS
 
@@ -44,35 +45,51 @@ def reproduce(options: Options) -> None:
         for seed in seeds
     ]
     began_s = time.monotonic()
-    found = sorted(_rides(cases), key=lambda done: cases.index(done[0]))
-    figures = [each for _, rides in found for each in rides]
+    rides: dict[Case, list[Figures]] = {}
+    bounds: dict[str, Bound] = {}
+    for case, result in _results(cases):
+        if isinstance(result, Bound):
+            bounds[_kind(case)] = result
+        else:
+            rides[case] = result
+    figures = [each for case in cases for each in rides.get(case, ())]
     elapsed_s = time.monotonic() - began_s
     if options.json:
-        print(json.dumps(_plain(figures, len(cases) - len(found), elapsed_s)))
+        print(json.dumps(_plain(figures, bounds, len(cases) - len(rides), elapsed_s)))
         return
     console = Console()
     for kind in dict.fromkeys(_kind(each) for each in figures):
-        _print(console, kind, [each for each in figures if _kind(each) == kind])
-    _explain(console, len(found), elapsed_s)
+        of_kind = [each for each in figures if _kind(each) == kind]
+        _print(console, kind, of_kind, bounds.get(kind))
+    _explain(console, len(rides), elapsed_s)
 
 
-def _rides(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Figures]]]:
-    """Rides as they are done, on all cores; after a signal no more."""
+def _results(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Figures] | Bound]]:
+    """Bounds of all kinds of rides, and rides as they are done, on all cores.
+
+    After a signal no more.
+    """
     stop = stop_on_signals()
     workers = min(os.cpu_count() or 1, len(cases))
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_leave_signals) as pool:
-        waiting = {pool.submit(study.study, case, tuple(MODELS)): case for case in cases}
+        kinds = {_kind(case): case for case in reversed(cases)}
+        waiting: dict[Future[Any], Case] = {
+            pool.submit(study.bound_of, case): case for case in kinds.values()
+        }
+        waiting |= {pool.submit(study.study, case, tuple(MODELS)): case for case in cases}
         count = 0
         while waiting:
             done, _ = wait(waiting, LOOK_S, return_when="FIRST_COMPLETED")
             for future in done:
-                case = waiting.pop(future)
-                count += 1
-                say(f"{count}/{len(cases)}: {_kind(case)}, seed {case.seed}")
-                yield case, future.result()
+                case, result = waiting.pop(future), future.result()
+                if not isinstance(result, Bound):
+                    count += 1
+                    say(f"{count}/{len(cases)}: {_kind(case)}, seed {case.seed}")
+                yield case, result
             if stop.is_set():
-                _give_up(pool, waiting)
+                _give_up(pool)
+                say(f"stopped; {len(cases) - count} rides are missing")
                 return
 
 
@@ -83,9 +100,8 @@ def _leave_signals() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _give_up(pool: ProcessPoolExecutor, waiting: dict[Future[Any], Case]) -> None:
+def _give_up(pool: ProcessPoolExecutor) -> None:
     """Drop what has not begun; what has is ended."""
-    say(f"stopped; {len(waiting)} rides are missing")
     processes = list((getattr(pool, "_processes", None) or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
     for process in processes:
@@ -97,8 +113,18 @@ def _kind(case: Case | Figures | Overall) -> str:
     return f"{Path(case.line).name}, {wheels}, {'white' if case.white else ALIKE} GNSS errors"
 
 
-def _plain(figures: list[Figures], missing: int, elapsed_s: float) -> dict[str, Any]:
+def _plain(
+    figures: list[Figures], bounds: dict[str, Bound], missing: int, elapsed_s: float
+) -> dict[str, Any]:
     """Without NaN, which JSON does not have."""
+
+    def overall(total: Overall) -> dict[str, Any]:
+        least = bounds.get(_kind(total))
+        return {
+            **clean(asdict(total)),
+            "bound": clean(asdict(least)) if least else None,
+            "over_bound": clean(study.over_bound(total, least)) if least else None,
+        }
 
     def clean(values: dict[str, Any]) -> dict[str, Any]:
         return {
@@ -109,14 +135,14 @@ def _plain(figures: list[Figures], missing: int, elapsed_s: float) -> dict[str, 
     return {
         "work": NAME,
         "published": PUBLISHED,
-        "overall": [clean(asdict(each)) for each in study.overall(figures)],
+        "overall": [overall(each) for each in study.overall(figures)],
         "rides": [clean({**each._asdict(), "consistent": each.consistent}) for each in figures],
         "missing_rides": missing,
         "elapsed_s": elapsed_s,
     }
 
 
-def _print(console: Console, kind: str, figures: list[Figures]) -> None:
+def _print(console: Console, kind: str, figures: list[Figures], least: Bound | None) -> None:
     table = Table(title=f"{NAME}: {kind}", box=None, pad_edge=False, collapse_padding=True)
     table.add_column("model", no_wrap=True)
     columns = ("seed", "P90 m", "along", "across", "speed σ", "yaw °", "NEES", "beyond PL %", "µs")
@@ -133,17 +159,28 @@ def _print(console: Console, kind: str, figures: list[Figures]) -> None:
             table.add_row(ride.model, str(ride.seed), *_numbers(ride, verdict))
         verdict = f"{total.consistent_rides}/{total.rides}"
         table.add_row(total.model, "all", *_numbers(total, verdict))
+        if least is not None:
+            ratios = study.over_bound(total, least).values()
+            table.add_row(f"{total.model} / bound", "", *(f"{ratio:.2f}" for ratio in ratios))
+    if least is not None:
+        table.add_row("bound", "", *_errors(least))
     console.print(table, "")
 
 
-def _numbers(each: Figures | Overall, verdict: str) -> list[str]:
-    shares = (each.exceeded_along_share, each.exceeded_across_share)
+def _errors(each: Figures | Overall | Bound) -> list[str]:
     return [
         f"{each.position_p90_m:.3f}",
         f"{each.along_rms_m:.3f}",
         f"{each.across_rms_m:.3f}",
         f"{each.speed_std_mps:.4f}",
         f"{each.yaw_rms_deg:.2f}",
+    ]
+
+
+def _numbers(each: Figures | Overall, verdict: str) -> list[str]:
+    shares = (each.exceeded_along_share, each.exceeded_across_share)
+    return [
+        *_errors(each),
         f"{each.nees:.1f} {verdict}",
         " ".join("–" if share is None else f"{100 * share:.2f}" for share in shares),
         f"{each.step_us:.0f}",
@@ -160,7 +197,8 @@ def _explain(console: Console, rides: int, elapsed_s: float) -> None:
         f"{step:.0f} µs a\nstep (93 s for 400,000 steps). {rides} rides in {elapsed_s:.0f} s.\n"
         "P90: of the horizontal error; along, across, yaw: RMS; NEES of the position: 2 is\n"
         "right, ok: within 95 %; beyond PL: time that the error is beyond the protection level,\n"
-        "along and across; µs: one step of the model, here. correlated: the errors of the fixes\n"
+        "along and across; µs: one step of the model, here. bound: posterior Cramér-Rao, what no\n"
+        "filter can do better, all rides thrown together. correlated: the errors of the fixes\n"
         "keep 0.95 of themselves in a second; white: nothing, as the filter of the work expects.",
         soft_wrap=True,
     )

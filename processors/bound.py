@@ -9,8 +9,8 @@ while running, and a vehicle that stands is known to, at once. What a filter can
 than its configuration tells (mounting, delays, scales, biases at switching on, grade and cant at
 the start) begins with the same deviations as in the filter; nothing is known of the heading.
 
-One thing more than the filter does: the noise of the vertical gyroscope, which turns the heading,
-is in the expected lateral force too, and what that force tells of it is taken.
+Two things more than the filter does on rails: the vertical force is used, and the noise of the
+vertical gyroscope, which turns the heading, is known to be in the expected lateral force as well.
 
 A wheel that slips tells nothing, and is known to slip. Left out, all of which only makes the bound
 smaller: multipath and drifts of standing fixes, errors of lever arms, of scales with temperature
@@ -58,7 +58,7 @@ from tramstream.simulation import Simulation
 _HEADING_STD_RAD = 1.0
 """Of a heading that may be any: who takes the antenna for the vehicle's origin is off by the lever
 arm, as much as this deviation makes of it."""
-_STANDING_STD_MPS = 1e-6
+_NO_SPEED_STD_MPS = 1e-6
 """Zero, but for arithmetic."""
 _FORGETS = 1e3
 """Times per step that an error without memory forgets."""
@@ -159,6 +159,7 @@ def series(simulation: Simulation) -> Series:
     _set_noise(c, gnss, imu)
     P = navigation.ekf.P
     P[Ix.YAW, Ix.YAW] = _HEADING_STD_RAD**2
+    P[Ix.ACCEL_Z, Ix.ACCEL_Z] = P[Ix.ACCEL_Y, Ix.ACCEL_Y]
     P[Ix.GNSS_EAST, Ix.GNSS_EAST] = P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] = (
         gnss.errors.horizontal_std_m**2
     )
@@ -194,7 +195,8 @@ def _set_noise(c: Array, gnss: Gnss, imu: Imu) -> None:
     c[Pm.LATERAL_VARIANCE] = c[Pm.STILL_FORCE_VARIANCE] = accel / STEP_S
     for slot in (Pm.STILL_ROLL_VARIANCE, Pm.STILL_PITCH_VARIANCE, Pm.STILL_YAW_VARIANCE):
         c[slot] = gyro / STEP_S
-    c[Pm.STANDING_VARIANCE] = _STANDING_STD_MPS**2
+    c[Pm.VERTICAL_DENSITY] = accel
+    c[Pm.STANDING_VARIANCE] = c[Pm.HEAVE_VARIANCE] = _NO_SPEED_STD_MPS**2
     c[Pm.GYRO_WALK] = errors.gyro_walk_radps2_rthz**2 + instability_density(
         errors.gyro_instability_radps, errors.gyro_instability_time_s
     )

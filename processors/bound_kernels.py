@@ -144,8 +144,8 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
     """Take the lateral specific force; its noise is that of the last step's turning as well.
 
     y = Hδ + n_f + v n_ω, and n_ω has turned heading, roll and paths in the step: M = E[δ v n_ω].
-    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of `tram_kernels.inertial`, which with a
-    gate that lets nothing pass does no more than to tell it.
+    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of
+    `tram_measurements.inertial`, which with a gate that lets nothing pass only tells it.
 
     References
     ----------
@@ -153,7 +153,7 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
     Navigation, Wiley 2001, section 8.3.
     """
     x, P, K = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE)), m[kernels.GAIN]
-    kernels.inertial(m, c, u, u, -1.0)
+    measurements.inertial(m, c, u, u, -1.0)
     h, columns, count = kernels.row(m, 0), m[kernels.H_COLUMNS], int(m[kernels.SEEN][2])
     variance = c[Pm.LATERAL_VARIANCE]
     K[:] = 0.0

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ from tramstream.evaluation import MotionErrors
 from tramstream.geodesy import LocalLevel, convergence_rad
 from tramstream.line import Line, built_in_line
 from tramstream.processor import Sample
+from tramstream.processors import bound
+from tramstream.processors.bound import Bound
 from tramstream.processors.ekf import LocalisationFilter
 from tramstream.processors.resampler import Resampler
 from tramstream.proto.estimate_pb2 import MotionState
@@ -115,6 +117,11 @@ def simulation_of(case: Case) -> Simulation:
     if case.white:
         chosen = replace(chosen, gnss=replace(gnss, errors=replace(gnss.errors, decay=0.0)))
     return Simulation(line_of(case.line), chosen, case.seed, case.duration_s)
+
+
+def bound_of(case: Case) -> Bound:
+    """What no filter can do better on rides of this kind, whatever their seed."""
+    return bound.bound(simulation_of(case))
 
 
 def study(case: Case, models: Sequence[str]) -> list[Figures]:
@@ -332,3 +339,9 @@ def _overall(rides: list[Figures]) -> Overall:
         exceeded_along_share=mean("exceeded_along_share") if known else None,
         exceeded_across_share=mean("exceeded_across_share") if known else None,
     )
+
+
+def over_bound(total: Overall, least: Bound) -> dict[str, float]:
+    """Figures as multiples of the bound's; NaN where it has none."""
+    names = [each.name for each in fields(least)]
+    return {name: getattr(total, name) / getattr(least, name) for name in names}

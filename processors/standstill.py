@@ -2,10 +2,10 @@
 
 Idling is not motion: an engine, a fan or a compressor shakes the case with degrees a second, yet
 the vehicle stands. So nothing here asks for quiet in itself. Where wheels are read, it stands when
-they have not turned for a while, unless the filter knows of a speed that a sliding wheel would
-hide. Without wheels, the shaking is compared with what it was while the vehicle surely stood and surely
-ran, by GNSS speed; until both are known, or when they do not differ, only a speed estimate near
-zero with a steady heading counts.
+they have not turned for a while, unless the filter or GNSS knows of a speed that a sliding wheel
+or a stuck counter would hide. Without wheels, the shaking is compared with what it was while the
+vehicle surely stood and surely ran, by GNSS speed; until both are known, or when they do not
+differ, only a speed estimate near zero with a steady heading counts.
 """
 
 from __future__ import annotations
@@ -21,9 +21,13 @@ from tramstream.kernels import Array, compiled
 WHEELS_STILL_S = 0.6
 """Wheels that have not turned for so long stand; 30 readings at 50 Hz."""
 LOCKED_MPS = 0.5
-"""Above this estimated speed, wheels that do not turn slide..."""
-LOCKED_S = 8.0
-"""... but not for so long."""
+LOCKED_SIGMA = 4.0
+"""Beyond an estimated speed of this and so many deviations, wheels that do not turn slide, or their
+counter is stuck."""
+FAST_S = 3.0
+"""Fixes that have moved fast for so long have not jumped."""
+PAUSE_S = 0.5
+"""Of the inertial readings: after a longer one they begin anew."""
 STILL_S = 0.8
 """The inertial sensor alone must agree for so long."""
 CREEP_MPS = 0.3
@@ -63,12 +67,14 @@ class Standstill:
         """Start of the present state."""
         self._statistics = np.zeros((2, 6))
         self._started = False
+        self._last_ns = 0  # inertial reading
         self._wheel_ns = 0  # last reading of the wheels
         self._turned_ns = 0  # last reading with a turn
         self._quiet_ns = 0  # since when the inertial sensor agrees
         self._still_force = 0.0  # along the track, while standing
         self._gnss_mps = math.inf
         self._gnss_ns = 0
+        self._fast_ns = 0  # since when that has been fast
         self._still_level = 0.0  # log of the shaking while standing, while running; 0: not known
         self._running_level = 0.0
 
@@ -89,16 +95,24 @@ class Standstill:
 
     def wheels(self, stamp_ns: int, turned: bool) -> None:
         """Take a reading of the wheels."""
-        if turned or self._wheel_ns == 0:
+        if turned or stamp_ns - self._wheel_ns > WHEELS_STILL_S * S:
             self._turned_ns = stamp_ns
         self._wheel_ns = stamp_ns
 
     def speed_over_ground(self, stamp_ns: int, speed_mps: float) -> None:
         """Take a speed that GNSS measured."""
+        if speed_mps < RUNNING_MPS or stamp_ns - self._gnss_ns > GNSS_AGE_S * S:
+            self._fast_ns = stamp_ns
         self._gnss_mps, self._gnss_ns = speed_mps, stamp_ns
 
     def step(
-        self, stamp_ns: int, u: Array | None, dt_s: float, speed_mps: float, bias_z: float
+        self,
+        stamp_ns: int,
+        u: Array | None,
+        dt_s: float,
+        speed_mps: float,
+        speed_std_mps: float,
+        bias_z: float,
     ) -> bool:
         """Decide for the instant `stamp_ns`.
 
@@ -111,10 +125,13 @@ class Standstill:
         bias_z : float
             Of the vertical gyroscope.
         """
+        if stamp_ns - self._last_ns > PAUSE_S * S:  # nobody has seen that it stood all the time
+            self._quiet_ns, self._started = stamp_ns, False
         if u is not None:
+            self._last_ns = stamp_ns
             self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
         if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
-            standing = self._by_wheels(stamp_ns, speed_mps)
+            standing = self._by_wheels(stamp_ns, speed_mps, speed_std_mps)
         else:
             standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
             if standing and not self.standing and self.since_ns:
@@ -124,11 +141,14 @@ class Standstill:
             self._still_force = float(self._statistics[0, 3])
         return standing
 
-    def _by_wheels(self, stamp_ns: int, speed_mps: float) -> bool:
-        still_s = (stamp_ns - self._turned_ns) / S
-        if still_s < WHEELS_STILL_S:
+    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_std_mps: float) -> bool:
+        if stamp_ns - self._turned_ns < WHEELS_STILL_S * S:
             return False
-        return not abs(speed_mps) > LOCKED_MPS or still_s > LOCKED_S  # NaN: not known, so it stands
+        fast = self._gnss_ns - self._fast_ns > FAST_S * S
+        if fast and stamp_ns - self._gnss_ns < GNSS_AGE_S * S:
+            return False
+        # NaN: not known, so it stands.
+        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * speed_std_mps
 
     def _follow(
         self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
@@ -136,6 +156,7 @@ class Standstill:
         if not self._started:
             self._statistics[0] = u[:6]
             self._started, self._quiet_ns = True, stamp_ns
+            self._still_force = float(u[3])
         smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
         (_, _, rate, force, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
         level = 0.5 * math.log(x + y + z + 1e-12)

@@ -1,23 +1,20 @@
 """The localiser `tram`: finds place and heading by itself, then runs the filter.
 
-    waiting ──first usable fix──▶ resting ◀──stands again too early── finding
-                                     │ moves                            ▲
-                                     └──────────────────────────────────┘
-                                                 finding ──heading known──▶ running
+    waiting ──first usable fix──▶ resting ──moves──▶ seeking ──heading known──▶ running
+                                     ▲                  │                          │
+                                     └─stands too early─┘◀──silent for too long────┘
 
 *Resting*: the filter runs without a heading, which a vehicle that stands does not need; it learns
-biases and averages nothing, for fixes at a stop share their error. *Finding*: the vehicle moves,
-frames are kept; when the displacements between fixes tell the heading (`alignment`), the filter is
-set to the departure and goes through the kept frames with a heading, once for either direction of
-travel where the wheels do not tell it; the likelier one goes on. *Running*: the filter as it is.
-After a gap in time the vehicle is looked for again, with all that has been learned of its sensors.
+biases and averages nothing, for fixes at a stop share their error. *Seeking*: the vehicle moves;
+see `tram_search`. *Running*: the filter as it is. When nothing has told of the motion for long, the
+vehicle is looked for again, with all that has been learned of its sensors; one that stood before
+and has not moved is taken to stand there yet (`tram_outage`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -27,27 +24,31 @@ from tramstream.geodesy import LocalLevel
 from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.processor import State
 from tramstream.processors.ahead import Ahead
-from tramstream.processors.alignment import Alignment
 from tramstream.processors.standstill import Standstill
 from tramstream.processors.tram_estimate import at_fix, estimate_of, plain, without_heading
-from tramstream.processors.tram_fixes import antenna_l, unusable
+from tramstream.processors.tram_fixes import antenna_l, is_far, unusable
 from tramstream.processors.tram_navigation import Navigation
+from tramstream.processors.tram_outage import Parked, Silence
+from tramstream.processors.tram_search import Search
 from tramstream.processors.tram_states import SIZE, UNITS, Ix, Pm
-from tramstream.processors.tram_wheels import counted
 from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
-GAP_S = 2.0
-"""A longer pause of the ordered stream, and nothing is known of the motion in it."""
-KEEP_S = 120.0
-"""Frames of so long are kept while the heading is sought."""
-HEADING_PRIOR_RAD = 0.35
-"""The heading that displacements gave is only where the filter begins: it sees the same fixes."""
-SPEED_PRIOR_MPS = 3.0
-SURE = 3.0
-"""Difference of log-likelihood at which a direction of travel is taken."""
-UNSURE_WAY_M = 100.0
-"""After so long a way the likelier direction is taken, however little."""
+SILENT_S = 0.5
+"""Neither inertial nor wheel reading for so long: the sensors have fallen silent."""
+BLIND_S = 10.0
+"""After such a silence the heading is sought anew: a tram turns by 90° in less."""
+UNSEEN_MPS = 15.0
+"""How fast a vehicle moves that nobody sees."""
+HEARD_S = 0.5
+"""Wheels read within so long tell how far the vehicle has come."""
+BACK_S = 5.0
+"""Time that goes on from an earlier instant for so long is a clock that was set back."""
+FAR_S = 10.0
+FAR_LATEST_S = 120.0
+"""Fixes far from where the ride began for so long, or for as long as the ride has lasted if that is
+between the two: it was the first fix that was wrong."""
 
 
 class TramLocaliser:
@@ -61,14 +62,17 @@ class TramLocaliser:
         self._navigation: Navigation | None = None
         self._standstill = Standstill()
         self._aligned = False
-        self._anchor: dict[str, Any] | None = None  # navigation at the departure
-        self._kept: list[SyncFrame] = []
-        self._alignment: Alignment | None = None
-        self._departed_ns = 0
-        self._rested = False  # whether the departure was from standstill
-        self._turned = 0.0
-        self._last_fix: GnssFix | None = None
+        self._search: Search | None = None
+        self._silence = Silence(vehicle)
+        self._parked: Parked | None = None
+        self._heard_ns = 0  # last inertial or wheel reading
+        self._wheels_ns = 0
+        self._way_m = 0.0  # at most, since the last usable fix
+        self._last_fix: GnssFix | None = None  # usable
+        self._begun_ns = 0
         self._stamp_ns = 0
+        self._back_ns = (0, 0)  # first and last stamp of frames that went on from an earlier time
+        self._far_ns = (0, 0)  # first and last of those fixes in a row that are far away
         self._inertial = False
         self._complaints: list[str] = []
         self._ahead = Ahead(vehicle)
@@ -80,26 +84,33 @@ class TramLocaliser:
 
     # One frame -----------------------------------------------------------------------------------
     def take(self, frame: SyncFrame) -> Estimate | None:
-        if frame.stamp_ns <= self._stamp_ns:
-            self._complaints.append("time ran backwards; the frame was left out")
+        if frame.stamp_ns <= self._stamp_ns and not self._set_back(frame.stamp_ns):
             return None
         gap_s = (frame.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
         self._stamp_ns = frame.stamp_ns
         navigation = self._navigation
+        slipping_s = navigation.wheels.slipping_s(frame.stamp_ns) if navigation else 0.0
+        self._complaints += self._silence.step(frame, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
                 return None
-        elif gap_s > GAP_S:
-            self._resume(navigation, gap_s)
+        self._listen(navigation, frame)
         standing = self._observe(navigation, frame, gap_s)
+        noise = self._standstill.noise if self._inertial else None
         if self._aligned:
-            noise = self._standstill.noise if self._inertial else None
             verdicts = navigation.run(frame, standing, noise)
         else:
             verdicts = self._seek(navigation, frame, standing)
+        self._wake(navigation, frame, standing)
         self._complaints += navigation.complaints
         navigation.complaints.clear()
+        if navigation.fixes.hopeless:
+            self._begin_again("the position was taken from the fixes again and again")
+            return None
+        if self._began_elsewhere():
+            self._begin_again("fixes stay far away from where the ride began")
+            return None
         self._last = self._estimate(navigation, standing, verdicts)
         return self._last
 
@@ -114,7 +125,7 @@ class TramLocaliser:
                 continue
             level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
             self._navigation = navigation = self.navigation_type(self._vehicle, level)
-            navigation.stamp_ns = frame.stamp_ns
+            navigation.stamp_ns = self._begun_ns = frame.stamp_ns
             navigation.unface()
             return navigation
         return None
@@ -122,30 +133,55 @@ class TramLocaliser:
     def _observe(self, navigation: Navigation, frame: SyncFrame, gap_s: float) -> bool:
         """Read the sensors and tell whether the vehicle stands."""
         self._inertial = navigation.read(frame)
-        standstill, wheels = self._standstill, navigation.wheels
-        for reading in frame.odometry:
-            turned = wheels.turned(reading)
-            if turned is not None:
-                standstill.wheels(reading.stamp_ns, turned[0])
+        standstill = self._standstill
+        counted = [way for way in map(self._count, frame.odometry) if way is not None]
+        x = navigation.ekf.memory
+        speed, speed_std = math.nan, 0.0
+        if self._aligned:
+            speed = float(x[Ix.SPEED])
+            speed_std = math.sqrt(max(float(navigation.ekf.P[Ix.SPEED, Ix.SPEED]), 0.0))
+        u = navigation.inputs[1] if self._inertial else None
+        standing = standstill.step(
+            frame.stamp_ns, u, min(gap_s, 0.1), speed, speed_std, float(x[Ix.GYRO_Z])
+        )
+        if not standing:
+            heard = frame.stamp_ns - self._wheels_ns < HEARD_S * S
+            unseen_m = UNSEEN_MPS * gap_s
+            self._way_m += sum(counted) if heard else unseen_m
         for fix in frame.gnss:
             if fix.valid:
-                speed = self._speed_over_ground(navigation, fix)
-                if speed is not None:
-                    standstill.speed_over_ground(fix.stamp_ns, speed)
-                self._last_fix = fix
-        x = navigation.ekf.memory
-        speed = float(x[Ix.SPEED]) if self._aligned else math.nan
-        u = navigation.inputs[1] if self._inertial else None
-        return standstill.step(frame.stamp_ns, u, min(gap_s, 0.1), speed, float(x[Ix.GYRO_Z]))
+                self._see(navigation, fix)
+        return standing
+
+    def _count(self, reading: Odometry) -> float | None:
+        """How far the wheels have turned since the last reading, m."""
+        assert self._navigation is not None
+        turned = self._navigation.wheels.turned(reading)
+        if turned is None:
+            return None
+        self._standstill.wheels(reading.stamp_ns, turned[0])
+        self._wheels_ns = reading.stamp_ns
+        return abs(turned[1])
+
+    def _see(self, navigation: Navigation, fix: GnssFix) -> None:
+        """Take note of a fix, apart from the filter."""
+        if unusable(fix, navigation.level):
+            if not unusable(fix, None) and is_far(fix, navigation.level):
+                self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
+            return
+        self._far_ns = (0, 0)
+        speed = self._speed_over_ground(navigation, fix)
+        if speed is not None:
+            self._standstill.speed_over_ground(fix.stamp_ns, speed)
+        self._last_fix, self._way_m = fix, 0.0
 
     def _speed_over_ground(self, navigation: Navigation, fix: GnssFix) -> float | None:
         """What the receiver measured, or else how far apart two neighbouring fixes are."""
         if fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps"):
-            return math.hypot(fix.vel_e_mps, fix.vel_n_mps)
+            speed = math.hypot(fix.vel_e_mps, fix.vel_n_mps)
+            return speed if math.isfinite(speed) else None
         last = self._last_fix
         if last is None or not 0 < fix.stamp_ns - last.stamp_ns < 3 * S:
-            return None
-        if unusable(fix, navigation.level) or unusable(last, navigation.level):
             return None
         a, b = antenna_l(last, navigation.level), antenna_l(fix, navigation.level)
         dt_s = (fix.stamp_ns - last.stamp_ns) / S
@@ -155,119 +191,89 @@ class TramLocaliser:
 
     # Without a heading ---------------------------------------------------------------------------
     def _seek(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> list[Verdict]:
-        if self._alignment is None:
+        noise = self._standstill.noise if self._inertial else None
+        if self._search is None:
             if standing:
-                noise = self._standstill.noise if self._inertial else None
                 return navigation.run(frame, True, noise)
-            self._depart(navigation)
-        self._keep(navigation, frame)
-        if standing or frame.stamp_ns - self._departed_ns > KEEP_S * S:
-            self._settle(navigation)
-            return []
-        alignment = self._alignment
-        assert alignment is not None
-        return self._align(navigation, alignment) if alignment.ready else []
-
-    def _depart(self, navigation: Navigation) -> None:
-        self._anchor = navigation.snapshot()
-        self._departed_ns = navigation.stamp_ns
-        self._rested = navigation.stood
-        self._kept, self._turned = [], 0.0
-        self._alignment = alignment = Alignment(navigation.fixes.tau_s)
-        fix = self._last_fix
-        if fix is not None and not unusable(fix, navigation.level):
-            east, north, _ = antenna_l(fix, navigation.level)
-            alignment.take(0.0, east, north, 0.0, navigation.accuracy_m(fix))
-
-    def _keep(self, navigation: Navigation, frame: SyncFrame) -> None:
-        """Keep a frame of the motion; follow the turning and the fixes."""
-        alignment = self._alignment
-        assert alignment is not None
-        bias = float(navigation.ekf.memory[Ix.GYRO_Z])
-        last_ns = self._kept[-1].stamp_ns if self._kept else self._departed_ns
-        dt_s = (frame.stamp_ns - last_ns) / S
-        self._turned += (float(navigation.inputs[2, 2]) - bias) * dt_s
-        self._kept.append(frame)
-        for reading in frame.odometry:
-            if not navigation.wheels.known:
-                navigation.wheels.meet(reading, navigation.ekf)
-            navigation.wheels.note(reading)
-        for fix in frame.gnss:
-            if fix.valid and not unusable(fix, navigation.level):
-                east, north, _ = antenna_l(fix, navigation.level)
-                time_s = (fix.stamp_ns - self._departed_ns) / S
-                std = navigation.accuracy_m(fix)
-                alignment.take(time_s, east, north, self._turned, std)
-
-    def _settle(self, navigation: Navigation) -> None:
-        """Give up the search: what is known of the sensors stays, the place is the fixes' again."""
-        assert self._anchor is not None
-        stamp_ns = self._stamp_ns
-        wheels = navigation.wheels.snapshot()
-        navigation.restore(self._anchor)
-        navigation.wheels.restore(wheels)
-        navigation.stamp_ns = stamp_ns
-        self._place_again(navigation)
-        self._anchor, self._alignment, self._kept = None, None, []
+            if self._heard_ns and self._stamp_ns - self._heard_ns > SILENT_S * S:
+                return []
+            self._search = Search(navigation, self._last_fix)
+        search, speed_mps = self._search, self._standstill.speed_over_ground_mps
+        verdicts = search.take(navigation, frame, standing, noise, speed_mps, self._vehicle)
+        if search.found:
+            self._aligned, self._parked = True, None
+        elif search.failed:
+            search.give_up(navigation)
+            self._place_again(navigation)
+        if search.found or search.failed:
+            self._search = None
+        return verdicts
 
     def _place_again(self, navigation: Navigation) -> None:
-        ekf = navigation.ekf
-        fix = self._last_fix
-        std = 1000.0
-        if fix is not None and not unusable(fix, navigation.level):
+        """Nothing is known of the place but the last fix, and how far that may be."""
+        ekf, fix, std = navigation.ekf, self._last_fix, 1000.0
+        if fix is not None:
             ekf.memory[Ix.EAST : Ix.UP + 1] = antenna_l(fix, navigation.level)
-            std = 3.0 * navigation.accuracy_m(fix)
+            std = math.hypot(3.0 * navigation.accuracy_m(fix), self._way_m)
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std))
         ekf.memory[Ix.SPEED] = 0.0
         ekf.forget((Ix.SPEED,), (0.0,))
 
-    def _align(self, navigation: Navigation, alignment: Alignment) -> list[Verdict]:
-        """Go through the motion again with a heading, in both directions if need be."""
-        assert self._anchor is not None
-        now = navigation.snapshot()
-        direction = navigation.wheels.direction(counted(self._kept))
-        tried = []
-        for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
-            verdicts = self._replay(navigation, alignment.yaw_rad, sign)
-            tried.append((navigation.ekf.log_likelihood_sum, sign, navigation.snapshot(), verdicts))
-        tried.sort(key=lambda each: -each[0])
-        clear = len(tried) == 1 or tried[0][0] - tried[1][0] > SURE
-        if not clear and alignment.way_m < UNSURE_WAY_M:
-            navigation.restore(now)
-            return []
-        navigation.restore(tried[0][2])
-        self._aligned = True
-        self._anchor, self._alignment, self._kept = None, None, []
-        return tried[0][3]
-
-    def _replay(self, navigation: Navigation, yaw_rad: float, sign: float) -> list[Verdict]:
-        assert self._anchor is not None
-        navigation.restore(self._anchor)
-        ekf = navigation.ekf
-        ekf.log_likelihood_sum = 0.0
-        yaw = yaw_rad if sign > 0.0 else yaw_rad + math.pi
-        navigation.face(yaw, HEADING_PRIOR_RAD, self._vehicle)
-        navigation.wheels.run(sign, counted(self._kept), ekf)
-        if not self._rested:
-            ekf.memory[Ix.SPEED] = sign * self._standstill.speed_over_ground_mps
-            ekf.forget((Ix.SPEED,), (SPEED_PRIOR_MPS,))
-        verdicts: list[Verdict] = []
-        for frame in self._kept:
-            inertial = navigation.read(frame)
-            noise = self._standstill.noise if inertial else None
-            verdicts = navigation.run(frame, False, noise)
-        return verdicts
-
-    def _resume(self, navigation: Navigation, gap_s: float) -> None:
-        """Look for the vehicle again after a pause; one that stood is taken to stand there yet."""
-        self._complaints.append(f"nothing came for {gap_s:.1f} s; the vehicle is looked for again")
-        navigation.stamp_ns = self._stamp_ns
-        if self._aligned and self._standstill.standing:
+    # Silence -------------------------------------------------------------------------------------
+    def _listen(self, navigation: Navigation, frame: SyncFrame) -> None:
+        """Notice that nothing tells of the motion: park a vehicle that stands, or lose it."""
+        silent_ns = frame.stamp_ns - (self._heard_ns or frame.stamp_ns)
+        if frame.HasField("imu") or frame.odometry:
+            self._heard_ns = frame.stamp_ns
+        if silent_ns <= SILENT_S * S or not (self._aligned or self._search):
             return
-        self._aligned = False
-        self._anchor, self._alignment, self._kept = None, None, []
-        navigation.unface()
-        self._place_again(navigation)
+        if self._aligned and self._parked is None and self._standstill.standing:
+            self._parked = Parked(navigation)
+        if silent_ns > BLIND_S * S:
+            self._complaints.append(
+                "no sensor has told of the motion for more than 10 s; the heading is sought anew"
+            )
+            self._aligned, self._search = False, None
+            self._way_m += UNSEEN_MPS * silent_ns / S
+            navigation.stamp_ns, navigation.stood = frame.stamp_ns, False
+            navigation.unface()
+            self._place_again(navigation)
+
+    def _wake(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> None:
+        """Find out whether a parked vehicle stands there yet."""
+        if self._parked is None or self._heard_ns != frame.stamp_ns:
+            return
+        moved = self._parked.moved(frame.odometry, frame.gnss, navigation, standing)
+        if moved is None and (standing or not self._aligned):
+            return
+        if moved is False:
+            self._parked.take_up(navigation, frame.stamp_ns)
+            self._aligned, self._search = True, None
+        self._parked = None
+
+    # Another beginning ---------------------------------------------------------------------------
+    def _begin_again(self, sentence: str) -> None:
+        """Forget everything."""
+        self._complaints.append(f"{sentence}; the filter begins anew")
+        self.restore(type(self)(self._vehicle).snapshot())
+
+    def _set_back(self, stamp_ns: int) -> bool:
+        """Whether time that ran backwards has gone on from there: then all begins anew."""
+        first_ns, last_ns = self._back_ns
+        if not 0 < stamp_ns - last_ns < BACK_S * S:
+            first_ns = stamp_ns
+        self._back_ns = (first_ns, stamp_ns)
+        if stamp_ns - first_ns < BACK_S * S:
+            self._complaints.append("time ran backwards; the frame was left out")
+            return False
+        self._begin_again("time goes on from an earlier instant")
+        return True
+
+    def _began_elsewhere(self) -> bool:
+        """Whether the first fix was wrong, by all that came later."""
+        first_ns, last_ns = self._far_ns
+        before_s = (first_ns - self._begun_ns) / S
+        return last_ns - first_ns > max(FAR_S, min(before_s, FAR_LATEST_S)) * S
 
     # What comes out ------------------------------------------------------------------------------
     def _estimate(
@@ -280,12 +286,15 @@ class TramLocaliser:
         if self._aligned:
             return estimate
         fix = self._last_fix
-        if standing or fix is None or unusable(fix, navigation.level):
+        if fix is None or (standing and self._search is None):
             return without_heading(estimate)
-        std_m = navigation.accuracy_m(fix)
-        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        if self._search is not None and self._search.trying:
+            gnss = self._vehicle.gnss
+            return without_heading(estimate, math.hypot(*gnss.lever_arm_m[:2]) if gnss else 0.0)
         speed_mps = self._standstill.speed_over_ground_mps
-        return at_fix(estimate, antenna_l(fix, navigation.level), std_m, speed_mps, age_s)
+        std_m = math.hypot(navigation.accuracy_m(fix), self._way_m)
+        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        return at_fix(estimate, antenna_l(fix, navigation.level), std_m, speed_mps, min(age_s, 2.0))
 
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
@@ -318,8 +327,7 @@ class TramLocaliser:
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
-        navigation = self._navigation
-        level = self.level
+        navigation, level, search, parked = self._navigation, self.level, self._search, self._parked
         return {
             "level": None
             if level is None
@@ -327,35 +335,47 @@ class TramLocaliser:
             "navigation": None if navigation is None else navigation.snapshot(),
             "standstill": self._standstill.snapshot(),
             "aligned": self._aligned,
-            "anchor": self._anchor,
-            "kept": [frame.SerializeToString() for frame in self._kept],
-            "alignment": None if self._alignment is None else self._alignment.snapshot(),
-            "departed_ns": self._departed_ns,
-            "turned": self._turned,
+            "search": None if search is None else search.snapshot(),
+            "silence": self._silence.snapshot(),
+            "parked": None if parked is None else parked.snapshot(),
             "last_fix": None if self._last_fix is None else self._last_fix.SerializeToString(),
-            "stamp_ns": self._stamp_ns,
-            "inertial": self._inertial,
-            "rested": self._rested,
+            "back_ns": list(self._back_ns),
+            "far_ns": list(self._far_ns),
             "ahead": self._ahead.snapshot(),
             "last": None if self._last is None else plain(self._last),
+            **{name: getattr(self, name) for name in _PLAIN},
         }
 
     def restore(self, state: State) -> None:
-        self._navigation = None
+        self._navigation = self._search = self._parked = None
         if state["level"] is not None:
-            self._navigation = self.navigation_type(self._vehicle, LocalLevel(*state["level"]))
-            self._navigation.restore(state["navigation"])
+            level = LocalLevel(*state["level"])
+            self._navigation = navigation = self.navigation_type(self._vehicle, level)
+            if state["search"] is not None:
+                self._search = Search(navigation, None)
+                self._search.restore(state["search"])
+            if state["parked"] is not None:
+                self._parked = Parked(navigation)
+                self._parked.restore(state["parked"])
+            navigation.restore(state["navigation"])
         self._standstill.restore(state["standstill"])
-        self._aligned, self._anchor = state["aligned"], state["anchor"]
-        self._kept = [SyncFrame.FromString(data) for data in state["kept"]]
-        self._alignment = None
-        if state["alignment"] is not None and self._navigation is not None:
-            self._alignment = Alignment(self._navigation.fixes.tau_s)
-            self._alignment.restore(state["alignment"])
-        self._departed_ns, self._turned = state["departed_ns"], state["turned"]
+        self._silence.restore(state["silence"])
+        self._aligned = state["aligned"]
         last = state["last_fix"]
         self._last_fix = None if last is None else GnssFix.FromString(last)
-        self._stamp_ns, self._inertial = state["stamp_ns"], state["inertial"]
-        self._rested = state["rested"]
+        self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])
         self._ahead.restore(state["ahead"])
         self._last = None if state["last"] is None else Estimate(**state["last"])
+        for name in _PLAIN:
+            setattr(self, name, state[name])
+
+
+_PLAIN = (
+    "_heard_ns",
+    "_wheels_ns",
+    "_way_m",
+    "_begun_ns",
+    "_stamp_ns",
+    "_inertial",
+)
+"""Attributes of the localiser that are numbers."""

@@ -21,6 +21,8 @@ RATE_HELD_S = 1.0
 """So long a yaw rate of the bus, which comes less often."""
 BRIDGED_S = 2.0
 """Over a shorter pause, the mean of the readings on either side is better than none."""
+SPEED_STD_MPS_RTS = 1.5
+"""How the speed may change unseen: 5 m/s within ten seconds."""
 YAW_STD_RAD_RTS = 0.07
 """How the heading may turn unseen: 0.3 rad/s (20 m at 6 m/s) between readings of the wheels."""
 
@@ -37,9 +39,9 @@ class Blind:
     """
 
     def __init__(self, vehicle: Vehicle, c: Array) -> None:
-        accel, tilt = vehicle.ekf.acceleration_std_mps2_rthz, vehicle.ekf.tilt_std_rad_rts
+        tilt = vehicle.ekf.tilt_std_rad_rts
         self._sighted = c[_MOVING].copy()
-        self._blind = np.array([accel, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
+        self._blind = np.array([SPEED_STD_MPS_RTS, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
         self.active = False
         """Whether the densities are others than those with readings."""
 

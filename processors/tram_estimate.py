@@ -29,9 +29,10 @@ def estimate_of(
     return Estimate(stamp_ns, mode, motion, covariance, accel, rate, standing, verdicts)
 
 
-def without_heading(estimate: Estimate) -> Estimate:
-    """Say of a vehicle that stands that its heading is not known."""
+def without_heading(estimate: Estimate, lever_m: float = 0.0) -> Estimate:
+    """Say of a vehicle that its heading is not known, and so not where it is about its antenna."""
     motion, covariance = estimate.motion.copy(), estimate.covariance.copy()
+    covariance[:2, :2] += np.eye(2) * lever_m**2
     motion[Ix.YAW] = 0.0
     covariance[Ix.YAW, :] = covariance[:, Ix.YAW] = 0.0
     covariance[Ix.YAW, Ix.YAW] = NO_HEADING_STD_RAD**2

@@ -53,6 +53,7 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
         c[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = vehicle.gnss.lever_arm_m
     c[Pm.SIDE_DENSITY] = vehicle.ekf.side_slip_std_m_rts**2
     c[Pm.HEAVE_DENSITY] = vehicle.ekf.heave_std_m_rts**2
+    c[Pm.HEAVE_VARIANCE] = c[Pm.HEAVE_DENSITY] / READING_S
     imu = vehicle.imu
     c[Pm.LATERAL_VARIANCE] = vehicle.ekf.sway_std_mps2_rthz**2 / READING_S
     c[Pm.STANDING_VARIANCE] = STANDING_STD_MPS**2
@@ -68,6 +69,7 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
     c[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1] = imu.gyro_noise_radps_rthz**2
     c[Pm.LATERAL_VARIANCE] += imu.accel_noise_mps2_rthz**2 / READING_S
     c[Pm.READING_VARIANCE] = imu.gyro_noise_radps_rthz**2 / READING_S
+    c[Pm.VERTICAL_DENSITY] = vehicle.ekf.vertical_std_mps2_rthz**2
     c[Pm.GYRO_WALK] = imu.gyro_walk_radps2_rthz**2
     c[Pm.ACCEL_WALK] = imu.accel_walk_mps3_rthz**2
     return c
@@ -172,9 +174,9 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         """Let `dt` s pass for a vehicle that stands."""
         kernels.rest(self.memory, self.parameters, dt)
 
-    def inertial(self, u: Array, before: Array) -> Verdict | None:
+    def inertial(self, u: Array, steady: Array) -> Verdict | None:
         """Take the lateral specific force; a verdict only when it was refused."""
-        distance = kernels.inertial(self.memory, self.parameters, u, before, SCALAR_GATE)
+        distance = measurements.inertial(self.memory, self.parameters, u, steady, SCALAR_GATE)
         if distance >= 0.0:
             self.log_likelihood_sum -= 0.5 * distance
             return None

@@ -37,6 +37,7 @@ ABSURD_S = 60.0
 ABSURD_M = 200.0
 """An error beyond so many deviations for so long and so far is the position's."""
 HUGE_M = 100.0
+HUGE_S = 20.0
 """One of this size is none of multipath; the vehicle need not move until it is the position's."""
 TURNED_STD_RAD = 0.2
 """Whoever was elsewhere than thought may face elsewhere than thought."""
@@ -197,12 +198,15 @@ class Fixes:
         if error < ABSURD_SIGMA * std:
             self._absurd_ns, self._absurd_m = 0, 0.0
             return ""
+        if standing and error < HUGE_M:
+            return ""
         if self._absurd_ns == 0:
             self._absurd_ns = stamp_ns
         dt_s = min((stamp_ns - self._last_ns) / S, 2.0)
         self._absurd_m += 0.0 if standing else abs(float(ekf.memory[Ix.SPEED])) * dt_s
-        far_enough = self._absurd_m > ABSURD_M or error > HUGE_M
-        if stamp_ns - self._absurd_ns < ABSURD_S * S or not far_enough:
+        lasted_s = (stamp_ns - self._absurd_ns) / S
+        for_long = lasted_s > ABSURD_S and self._absurd_m > ABSURD_M
+        if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):
             return ""
         self._absurd_ns, self._absurd_m = 0, 0.0
         recent = [each for each in self._taken_ns if stamp_ns - each < HOPELESS_S * S]

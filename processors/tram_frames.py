@@ -15,6 +15,10 @@ from tramstream.processors.tram_states import SIZE, Ix
 
 SMOOTHING_S = 0.1
 """Of the angular rates, for their derivative."""
+STEADY_S = 0.5
+"""Of the rates that a row of H is made of."""
+SHAKING_S = 0.3
+"""Of what neighbouring rates differ by: a pothole is over after so long."""
 _MOVED = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
 
 
@@ -36,7 +40,8 @@ def read(
     ----------
     inputs : ndarray, shape (4, 10)
         Rows for `move`: the reading before, this one, and their mean: what acts between them; then
-        the smoothed rates that angular acceleration is told from.
+        the smoothed rates that angular acceleration is told from, the variance of a rate that the
+        difference of neighbouring ones shows, and the steady rates up to the reading before.
     C_vb : ndarray, shape (3, 3)
     dt : float
         Between the two readings, s; 0 if there is none before.
@@ -51,6 +56,8 @@ def read(
     if dt <= 0.0:
         for k in range(10):
             inputs[0, k] = inputs[3, k] = inputs[1, k]
+        for k in range(3):
+            inputs[3, 3 + k], inputs[3, 6 + k] = 0.0, inputs[1, k]
     for k in range(6):
         inputs[2, k] = 0.5 * (inputs[0, k] + inputs[1, k])
     for k in range(3):
@@ -58,6 +65,9 @@ def read(
         rising = (inputs[2, k] - inputs[3, k]) / SMOOTHING_S
         inputs[3, k] += dt * rising
         inputs[1, 6 + k] = inputs[2, 6 + k] = rising
+        apart = inputs[1, k] - inputs[0, k]
+        inputs[3, 6 + k] += min(1.0, dt / STEADY_S) * (inputs[0, k] - inputs[3, 6 + k])
+        inputs[3, 3 + k] += min(1.0, dt / SHAKING_S) * (0.5 * apart * apart - inputs[3, 3 + k])
     inputs[2, 9] = 1.0
 
 

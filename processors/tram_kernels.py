@@ -6,6 +6,11 @@ step costs one prediction. Correlations that this brings are kept: the noise of 
 gyroscope turns
 the heading and the paths of the two wheels together, which is how the wheels hold the heading.
 
+Where the vertical specific force is used (a car's, whose gyroscopes err at every jolt), the speed
+along z is a state: ẇ = f_z − g cosθ cosφ + v ω_y, and zero in the mean, for springs only bounce. A
+false step of the pitch shows in it within a second, long before its gravity does in v. An error of
+the pitch gyroscope goes into both together, as that of the vertical one into heading and paths.
+
 All functions work on one block of memory, so that a call from Python costs a fraction of a
 microsecond: x, P, two scratch areas (`views`). Equations are those of theory.md section 1, with the
 up direction of the place, u = [E/r, N/r, 1] in the tangent plane of the origin (r: Earth's radius).
@@ -21,6 +26,8 @@ from tramstream.kernels import Array, Indices, compiled, predict_covariance, upd
 from tramstream.processors.tram_states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
 
 ENTRY_COUNT = len(ENTRIES)
+WITHOUT_HEAVE = ENTRY_COUNT - 5
+"""Entries of A that are not always 0 where the vertical force is not used."""
 ROW_LENGTH = 10
 """Most entries of a row of H."""
 MOST_SCALARS = 5
@@ -55,19 +62,6 @@ STRIDE = 5
 def slots(*names: Ix) -> Indices:
     """Columns of a row of H."""
     return np.array([int(slot) for slot in names], dtype=np.int64)
-
-
-_LATERAL = slots(
-    Ix.SPEED,
-    Ix.ROLL,
-    Ix.PITCH,
-    Ix.GYRO_Z,
-    Ix.ACCEL_Y,
-    Ix.MOUNT_ROLL,
-    Ix.MOUNT_YAW,
-    Ix.GYRO_SCALE,
-    Ix.MOUNT_PITCH,
-)
 
 
 @compiled
@@ -124,6 +118,15 @@ def acceleration(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) 
 
 
 @compiled
+def heaving(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) -> float:
+    """ẇ along z, m/s²; what the mounting's small angles add is left out."""
+    gravity = c[Pm.GRAVITY] * math.cos(x[Ix.PITCH]) * math.cos(x[Ix.ROLL])
+    rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    lever = wx * wz * rx + wy * wz * ry - (wx * wx + wy * wy) * rz + u[6] * ry - u[7] * rx
+    return u[5] - x[Ix.ACCEL_Z] - gravity - lever + x[Ix.SPEED] * wy
+
+
+@compiled
 def move(x: Array, c: Array, u: Array, dt: float) -> tuple[float, float]:
     """Move x on by `dt` with the reading `u`; midpoint rule.
 
@@ -153,6 +156,10 @@ def move(x: Array, c: Array, u: Array, dt: float) -> tuple[float, float]:
     x[Ix.EAST] += level * math.cos(yaw)
     x[Ix.NORTH] += level * math.sin(yaw)
     x[Ix.UP] -= speed * math.sin(pitch) * dt
+    if c[Pm.VERTICAL_DENSITY] > 0.0:
+        rising = u[9] * heaving(x, c, u, wx, wy, wz)
+        x[Ix.UP] += (x[Ix.HEAVE] + 0.5 * dt * rising) * cp * cr * dt
+        x[Ix.HEAVE] += dt * rising
     x[Ix.SPEED] += dt * accel
     x[Ix.ROLL] += dt * (wx + tp * turning)
     x[Ix.PITCH] += dt * pitch_rate
@@ -218,6 +225,16 @@ def transition(x: Array, c: Array, u: Array, dt: float, values: Array) -> None:
         k += 6
     decay = math.exp(-c[Pm.GNSS_DECAY] * dt) - 1.0
     values[k] = values[k + 1] = values[k + 2] = decay
+    k += 3
+    for j in range(k, k + 5):
+        values[j] = 0.0
+    if c[Pm.VERTICAL_DENSITY] > 0.0:
+        # How w follows v is left out: a rate that shakes, times what it has shaken w by, has a
+        # mean, which would turn into a speed that shrinks.
+        values[k] = cp * cr * dt
+        values[k + 1] = c[Pm.GRAVITY] * cp * sr * dt * u[9]
+        values[k + 2] = c[Pm.GRAVITY] * sp * cr * dt * u[9]
+        values[k + 3], values[k + 4] = -along * u[9], -dt * u[9]
 
 
 @compiled
@@ -235,6 +252,15 @@ def add_noise(x: Array, P: Array, c: Array, dt: float) -> None:
     _couple(P, Ix.ROLL, Ix.PITCH, q * a * b)
     _couple(P, Ix.ROLL, Ix.YAW, q * a * d)
     _couple(P, Ix.PITCH, Ix.YAW, q * b * d)
+    if c[Pm.VERTICAL_DENSITY] > 0.0:
+        v = x[Ix.SPEED]
+        P[Ix.HEAVE, Ix.HEAVE] += q * v * v + c[Pm.VERTICAL_DENSITY] * dt
+        P[Ix.ACCEL_Z, Ix.ACCEL_Z] += c[Pm.ACCEL_WALK] * dt
+        _couple(P, Ix.HEAVE, Ix.ROLL, q * v * a)
+        _couple(P, Ix.HEAVE, Ix.PITCH, q * v * b)
+        _couple(P, Ix.HEAVE, Ix.YAW, q * v * d)
+    else:
+        P[Ix.UP, Ix.UP] += c[Pm.HEAVE_DENSITY] * dt
     q = c[Pm.YAW_DENSITY] * dt
     a, b, d = tp * cr, -sr, cr / cp
     left = -c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
@@ -245,6 +271,10 @@ def add_noise(x: Array, P: Array, c: Array, dt: float) -> None:
     _couple(P, Ix.ROLL, Ix.PITCH, q * a * b)
     _couple(P, Ix.ROLL, Ix.YAW, q * a * d)
     _couple(P, Ix.PITCH, Ix.YAW, q * b * d)
+    _couple(P, Ix.ROLL, Ix.PATH_A, q * a * left)
+    _couple(P, Ix.ROLL, Ix.PATH_B, q * a * right)
+    _couple(P, Ix.PITCH, Ix.PATH_A, q * b * left)
+    _couple(P, Ix.PITCH, Ix.PATH_B, q * b * right)
     _couple(P, Ix.YAW, Ix.PATH_A, q * d * left)
     _couple(P, Ix.YAW, Ix.PATH_B, q * d * right)
     _couple(P, Ix.PATH_A, Ix.PATH_B, q * left * right)
@@ -258,7 +288,6 @@ def add_noise(x: Array, P: Array, c: Array, dt: float) -> None:
     P[Ix.EAST, Ix.EAST] += side * sy * sy
     P[Ix.NORTH, Ix.NORTH] += side * cy * cy
     _couple(P, Ix.EAST, Ix.NORTH, -side * sy * cy)
-    P[Ix.UP, Ix.UP] += c[Pm.HEAVE_DENSITY] * dt
     P[Ix.SPEED, Ix.SPEED] += c[Pm.ACCEL_DENSITY] * dt
     P[Ix.GYRO_X, Ix.GYRO_X] += c[Pm.GYRO_WALK] * dt
     P[Ix.GYRO_Y, Ix.GYRO_Y] += c[Pm.GYRO_WALK] * dt
@@ -282,7 +311,8 @@ def predict(m: Array, c: Array, u: Array, dt: float) -> None:
     x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
     values = m[ENTRY_VALUES]
     transition(x, c, u, dt, values)
-    predict_covariance(P, ROWS, COLUMNS, values, ENTRY_COUNT, m[SCRATCH].reshape((SIZE, SIZE)))
+    count = ENTRY_COUNT if c[Pm.VERTICAL_DENSITY] > 0.0 else WITHOUT_HEAVE
+    predict_covariance(P, ROWS, COLUMNS, values, count, m[SCRATCH].reshape((SIZE, SIZE)))
     add_noise(x, P, c, dt)
     m[ACCELERATION], m[YAW_RATE] = move(x, c, u, dt)
 
@@ -335,34 +365,3 @@ def ahead_of(
     scratch = to[SCRATCH].reshape((SIZE, SIZE))
     predict_covariance(P, ROWS, COLUMNS, to[ENTRY_VALUES], ENTRY_COUNT, scratch)
     add_noise(x, P, c, total)
-
-
-@compiled
-def inertial(m: Array, c: Array, u: Array, before: Array, gate: float) -> float:
-    """Take the lateral specific force: f_y = v ω_z + g cosθ sinφ.
-
-    The row of H is that of the reading before: its own would carry the noise of the gyroscope that
-    the innovation carries too, and their product has a mean that turns into a false scale.
-
-    Returns y²/S, negative when it was refused.
-    """
-    x, h = m[STATE], row(m, 0)
-    wx, wy, wz = rates(x, u)
-    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
-    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
-    g, v = c[Pm.GRAVITY], x[Ix.SPEED]
-    rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
-    lever = wx * wy * rx - (wx * wx + wz * wz) * ry + wy * wz * rz + u[8] * rx - u[6] * rz
-    tilt = x[Ix.NORTH] * math.cos(x[Ix.YAW]) - x[Ix.EAST] * math.sin(x[Ix.YAW])
-    expected = v * wz + g * (cp * sr + tilt * c[Pm.CURVATURE]) + lever
-    read = u[4] + x[Ix.MOUNT_YAW] * u[3] - x[Ix.MOUNT_ROLL] * u[5] - x[Ix.ACCEL_Y]
-    scale = 1.0 - x[Ix.GYRO_SCALE]
-    wx, wy, wz = rates(x, before)
-    h[0], h[1], h[2] = wz, g * cp * cr, -g * sp * sr
-    h[3], h[4] = -v * scale, 1.0
-    h[5], h[6] = before[5] + v * wy, -before[3]
-    h[7], h[8] = -v * (before[2] - x[Ix.GYRO_Z]), -v * wx
-    y = read - expected
-    variance = c[Pm.LATERAL_VARIANCE] + v * v * c[Pm.READING_VARIANCE]
-    S = take(m, 0, _LATERAL, 9, y, variance, gate)
-    return y * y / S

@@ -1,4 +1,4 @@
-"""What GNSS, wheels and standstill show in the model `tram`, compiled: innovation, H, update.
+"""What sensors and standstill show in the model `tram`, compiled: innovation, H, update.
 
 The motion is that of `tram_kernels`; memory and parameters are laid out there. Each function
 returns what the filter reports: innovations, their variances, and the gate's verdict in the sign of
@@ -17,12 +17,25 @@ from tramstream.processors.tram_kernels import (
     YAW_RATE,
     gain,
     note,
+    rates,
     row,
     slots,
     take,
 )
 from tramstream.processors.tram_states import SIZE, Ix, Pm
 
+_LATERAL = slots(
+    Ix.SPEED,
+    Ix.ROLL,
+    Ix.PITCH,
+    Ix.GYRO_Z,
+    Ix.ACCEL_Y,
+    Ix.MOUNT_ROLL,
+    Ix.MOUNT_YAW,
+    Ix.GYRO_SCALE,
+    Ix.MOUNT_PITCH,
+)
+_HEAVE = slots(Ix.HEAVE)
 _STANDING = slots(Ix.SPEED)
 _LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH)
 _STILL = (slots(Ix.GYRO_X), slots(Ix.GYRO_Y), slots(Ix.GYRO_Z))
@@ -201,7 +214,48 @@ def standing(m: Array, c: Array, u: Array, gate: float = math.inf) -> bool:
     tilt = x[Ix.EAST] * math.cos(x[Ix.YAW]) + x[Ix.NORTH] * math.sin(x[Ix.YAW])
     gravity = c[Pm.GRAVITY] * (cp * tilt * c[Pm.CURVATURE] - sp)
     h = row(m, 4)
-    h[0], h[1], h[2], h[3] = -c[Pm.GRAVITY] * cp, 1.0, u[4], -u[5]
+    # Of the other axes what gravity has there: their readings shake with this one, and the product
+    # of shaking and innovation has a mean that would turn into a false mounting.
+    across, upright = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    h[0], h[1] = -c[Pm.GRAVITY] * cp, 1.0
+    h[2], h[3] = c[Pm.GRAVITY] * cp * across, -c[Pm.GRAVITY] * cp * upright
     force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
     take(m, 4, _LEVEL, 4, force - gravity, c[Pm.STILL_FORCE_VARIANCE], math.inf)
     return stopped
+
+
+@compiled
+def inertial(m: Array, c: Array, u: Array, steady: Array, gate: float) -> float:
+    """Take the lateral specific force, f_y = v ω_z + g cosθ sinφ, and that nothing flies: w = 0.
+
+    The row of H is that of the `steady` rates before the reading: its own would carry the noise of
+    the gyroscope that the innovation carries too, and their product has a mean that turns into a
+    false scale, or, without wheels, into a speed that shrinks. Vibration shares even the reading
+    before.
+
+    Returns y²/S, negative when it was refused.
+    """
+    x, h = m[STATE], row(m, 0)
+    wx, wy, wz = rates(x, u)
+    sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
+    sp, cp = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
+    g, v = c[Pm.GRAVITY], x[Ix.SPEED]
+    rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
+    lever = wx * wy * rx - (wx * wx + wz * wz) * ry + wy * wz * rz + u[8] * rx - u[6] * rz
+    tilt = x[Ix.NORTH] * math.cos(x[Ix.YAW]) - x[Ix.EAST] * math.sin(x[Ix.YAW])
+    expected = v * wz + g * (cp * sr + tilt * c[Pm.CURVATURE]) + lever
+    read = u[4] + x[Ix.MOUNT_YAW] * u[3] - x[Ix.MOUNT_ROLL] * u[5] - x[Ix.ACCEL_Y]
+    scale = 1.0 - x[Ix.GYRO_SCALE]
+    wx, wy, wz = rates(x, steady)
+    h[0], h[1], h[2] = wz, g * cp * cr, -g * sp * sr
+    h[3], h[4] = -v * scale, 1.0
+    # Forces as the motion has them: read ones shake with the innovation's own.
+    h[5], h[6] = g * cp * cr, g * sp - m[ACCELERATION]
+    h[7], h[8] = -v * (steady[2] - x[Ix.GYRO_Z]), -v * wx
+    y = read - expected
+    variance = c[Pm.LATERAL_VARIANCE] + v * v * c[Pm.READING_VARIANCE]
+    S = take(m, 0, _LATERAL, 9, y, variance, gate)
+    if c[Pm.VERTICAL_DENSITY] > 0.0:
+        row(m, 1)[0] = 1.0
+        take(m, 1, _HEAVE, 1, -x[Ix.HEAVE], c[Pm.HEAVE_VARIANCE], math.inf)
+    return y * y / S

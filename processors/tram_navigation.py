@@ -15,7 +15,7 @@ from tramstream.kernels import Array
 from tramstream.localisation import DEAD_RECKONING, TRACKING, Verdict
 from tramstream.processors import tram_frames as frames
 from tramstream.processors.tram_blind import BRIDGED_S, HELD_S, RATE_HELD_S, Blind
-from tramstream.processors.tram_filter import TramFilter, parameters
+from tramstream.processors.tram_filter import READING_S, TramFilter, parameters
 from tramstream.processors.tram_fixes import Fixes, deviations, unusable
 from tramstream.processors.tram_states import PARAMETERS, Ix, Pm
 from tramstream.processors.tram_wheels import WheelPair
@@ -39,8 +39,8 @@ LONGEST_STEP_S = 0.1
 """Through a pause the filter goes in steps: what a step adds to the speed moves the next one."""
 ASTRAY_S = 0.5
 """A measurement so far outside of its frame has a stamp that is wrong."""
-FASTEST_RADPS = 10.0
-HARDEST_MPS2 = 100.0
+FASTEST_RADPS = 4.0
+HARDEST_MPS2 = 60.0
 """No vehicle turns faster or is pushed harder; a reading beyond is none."""
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
@@ -68,6 +68,7 @@ class Navigation:
         self._blind = Blind(vehicle, self.ekf.parameters)
         self._has_imu = imu is not None
         self._still_floor = np.zeros(2)
+        self._aliasing = imu.gyro_aliasing**2 if imu is not None else 0.0
         if imu is not None:
             rate, force = imu.gyro_noise_radps_rthz, imu.accel_noise_mps2_rthz
             self._still_floor = np.array([rate**2, force**2])
@@ -86,6 +87,8 @@ class Navigation:
         std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
         if imu is not None:
             std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
+            if vehicle.ekf.vertical_std_mps2_rthz:
+                std[Ix.ACCEL_Z] = imu.accel_bias_std_mps2
             std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
             std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
         else:
@@ -139,8 +142,17 @@ class Navigation:
                 self._blind.bridge(self.ekf.parameters, dt)
             else:
                 self._blind.end(self.ekf.parameters)
+                if self._aliasing:
+                    self._shaken()
         self._read_ns = mean.stamp_ns
         return True
+
+    def _shaken(self) -> None:
+        """Shaking that the readings do not resolve is white noise to the angles, axis by axis."""
+        white, share = self._still_floor[0], self._aliasing * READING_S
+        densities = self.ekf.parameters[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1]
+        np.multiply(self.inputs[3, 3:6], share, out=densities)
+        densities += white
 
     def _read_rate(self, reading: Odometry) -> None:
         """The bus' own yaw rate stands for a gyroscope; its white noise lasts one interval."""
@@ -188,7 +200,7 @@ class Navigation:
         u = self.inputs[1]
         if standing:
             self._stand(u, noise)
-        verdict = ekf.inertial(u, self.inputs[0])
+        verdict = ekf.inertial(u, self.inputs[3, 6:9])
         if verdict is not None:
             verdicts.append(verdict)
         return verdicts
@@ -208,7 +220,7 @@ class Navigation:
 
     def _of(self, stamp_ns: int, frame_ns: int) -> bool:
         """Whether a measurement belongs where it is: behind the last frame, not beyond this one."""
-        fits = -ASTRAY_S * S < stamp_ns - self.stamp_ns and stamp_ns - frame_ns < ASTRAY_S * S
+        fits = max(self.stamp_ns - stamp_ns, stamp_ns - frame_ns) < ASTRAY_S * S
         if not fits:
             self.complaints.append("a measurement that is not of its frame's time was left out")
         return fits

@@ -5,9 +5,10 @@ too, for a tram never stands on its nose. All axes are the vehicle's (frame v) u
 otherwise; inertial readings are turned into v by the configured mounting before they come here, and
 three small angles remain to be found.
 
-Left out because nothing observes them, or another state does the same: the vertical accelerometer
-and its bias; constant bias and random walk of one axis side by side (one state for their sum); the Earth's
-rotation, a fifteenth of the walk of the gyroscopes' bias within a minute.
+Left out because nothing observes them, or another state does the same: constant bias and random
+walk of one axis side by side (one state for their sum); the Earth's rotation, a fifteenth of the
+walk of the gyroscopes' bias within a minute. HEAVE and ACCEL_Z rest at 0 unless the vertical force
+is used.
 """
 
 from __future__ import annotations
@@ -44,8 +45,10 @@ class Ix(IntEnum):
     PATH_B = 21
     GNSS_DELAY = 22  # by which stamps are too late, s
     WHEEL_DELAY = 23
-    MOUNT_PITCH = 25
     PIVOT = 24  # the vehicle's origin before the point that does not slip sideways, m
+    MOUNT_PITCH = 25
+    HEAVE = 26  # speed along z, where the vertical force is used, m/s
+    ACCEL_Z = 27  # bias, m/s²
 
 
 SIZE = len(Ix)
@@ -109,6 +112,8 @@ class Pm(IntEnum):
     SIDE_DENSITY = 30  # of the pivot's slip to the side, m²/s
     HEAVE_DENSITY = 31  # of its heaving, m²/s
     CLOCK_SHARE = 32  # part of the fixes' delay by which the inertial stamps are too early
+    HEAVE_VARIANCE = 34  # of w = 0 at one reading, (m/s)²
+    VERTICAL_DENSITY = 33  # noise of the vertical force, (m/s²)²/Hz; 0: it is not used
     STILL_FORCE_VARIANCE = 28  # of a specific force of a vehicle that stands, (m/s²)²
 
 
@@ -163,6 +168,11 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     (Ix.GNSS_EAST, Ix.GNSS_EAST),
     (Ix.GNSS_NORTH, Ix.GNSS_NORTH),
     (Ix.GNSS_UP, Ix.GNSS_UP),
+    (Ix.UP, Ix.HEAVE),
+    (Ix.HEAVE, Ix.ROLL),
+    (Ix.HEAVE, Ix.PITCH),
+    (Ix.HEAVE, Ix.GYRO_Y),
+    (Ix.HEAVE, Ix.ACCEL_Z),
 )
 """Where A of the transition F = I + A has entries, in the order in which `predict` fills them."""
 

@@ -161,7 +161,9 @@ class WheelPair:
 
     def slipping_s(self, stamp_ns: int) -> float:
         """For how long a wheel has not fitted the motion."""
-        return max(((stamp_ns - w.slip_ns) / S for w in self._wheels.values() if w.slipping), default=0.0)
+        return max(
+            ((stamp_ns - w.slip_ns) / S for w in self._wheels.values() if w.slipping), default=0.0
+        )
 
     def counters(self) -> dict[str, int]:
         """Pulses of each wheel, as they were last read."""

@@ -80,6 +80,10 @@ class Imu(Struct, frozen=True, kw_only=True):
     """N of the ADIS16465 (theory.md section 3), as are the next three."""
     gyro_walk_radps2_rthz: Positive = 0.00007563
     """K: random walk of the bias."""
+    gyro_aliasing: NotNegative = 0.0
+    """Part of what neighbouring readings of a rate differ by that is noise to the angle: vibration
+    faster than the readings resolve. None where the IMU averages fast samples; about a third for
+    one that is read at 100 Hz in a car (docs/accuracy.md)."""
     accel_noise_mps2_rthz: Positive = 0.00022563
     accel_walk_mps3_rthz: Positive = 0.0000353
     """B of theory.md section 3 walked within a second; its K is far below."""
@@ -186,6 +190,9 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """Specific force along the track that is no motion: the body's pitching, vibration."""
     sway_std_mps2_rthz: NotNegative = 0.002
     """Lateral specific force that is neither curve nor cant."""
+    vertical_std_mps2_rthz: NotNegative = 0.0
+    """The same along z: the vertical force then watches over the pitch, which pays on a road, where
+    jolts deceive the gyroscopes. 0: it is not used."""
     side_slip_std_m_rts: NotNegative = 0.0
     """Way to the side after a second, which walks: none on rails, centimetres on a road."""
     heave_std_m_rts: NotNegative = 0.002

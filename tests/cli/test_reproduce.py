@@ -58,6 +58,9 @@ def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
     assert kinds == expected
     assert {ride["seed"] for ride in figures["rides"]} == {7}
     assert len(figures["overall"]) == len(expected)
+    for total in figures["overall"]:
+        ratio = total["position_p90_m"] / total["bound"]["position_p90_m"]
+        assert total["over_bound"]["position_p90_m"] == pytest.approx(ratio)
     assert done.stderr.count("/3:") == 3
 
 

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from tramstream.processors import kaspar2023_study as study
+from tramstream.processors.bound import Bound
 from tramstream.processors.kaspar2023_study import Case, Figures
 from tramstream.processors.models import MODELS
 
@@ -81,6 +82,16 @@ def test_seeds_are_summed_up_by_model_and_kind() -> None:
     assert (kaspar.model, kaspar.consistent_rides) == ("kaspar2023", 0)
     assert one_wheel.wheels == 1
     assert one_wheel.exceeded_along_share is None
+
+
+def test_figures_are_multiples_of_the_bound_of_the_same_name() -> None:
+    (total,) = study.overall([figures()])
+    least = Bound(0.4, 2.0, 0.3, 0.005, math.nan)
+    ratios = study.over_bound(total, least)
+    assert ratios["position_p90_m"] == pytest.approx(1.25)
+    assert ratios["along_rms_m"] == pytest.approx(1.5)
+    assert ratios["speed_std_mps"] == pytest.approx(2.0)
+    assert math.isnan(ratios["yaw_rms_deg"])
 
 
 @pytest.mark.study
