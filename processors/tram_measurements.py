@@ -45,8 +45,8 @@ _NORTH = slots(
 )
 _UP = slots(Ix.UP, Ix.GNSS_UP, Ix.GNSS_DELAY, Ix.SPEED, Ix.PITCH, Ix.ROLL)
 _VELOCITY = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.GYRO_Z, Ix.ROLL, Ix.PITCH, Ix.PIVOT)
-_WHEEL_A = slots(Ix.PATH_A, Ix.WHEEL_DELAY, Ix.SPEED)
-_WHEEL_B = slots(Ix.PATH_B, Ix.WHEEL_DELAY, Ix.SPEED)
+_WHEEL_A = slots(Ix.PATH_A, Ix.WHEEL_DELAY, Ix.SPEED, Ix.SCALE_A)
+_WHEEL_B = slots(Ix.PATH_B, Ix.WHEEL_DELAY, Ix.SPEED, Ix.SCALE_B)
 _RIM_A = slots(Ix.SPEED, Ix.SCALE_A, Ix.GYRO_Z, Ix.WHEEL_DELAY)
 _RIM_B = slots(Ix.SPEED, Ix.SCALE_B, Ix.GYRO_Z, Ix.WHEEL_DELAY)
 
@@ -146,13 +146,13 @@ def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out:
     `out`, shape (2,), gets the innovation and its variance.
     """
     x, h = m[STATE], row(m, 0)
-    slot, sign, columns = Ix.PATH_A + 0, c[Pm.SIGN_A], _WHEEL_A
+    slot, sign, scale, columns = Ix.PATH_A + 0, c[Pm.SIGN_A], x[Ix.SCALE_A], _WHEEL_A
     if wheel == 1:
-        slot, sign, columns = Ix.PATH_B + 0, c[Pm.SIGN_B], _WHEEL_B
-    v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
-    h[0], h[1], h[2] = 1.0, -sign * v, -sign * delay
-    y = way - (x[slot] - sign * v * delay)
-    out[0], out[1] = y, take(m, 0, columns, 3, y, R, gate)
+        slot, sign, scale, columns = Ix.PATH_B + 0, c[Pm.SIGN_B], x[Ix.SCALE_B], _WHEEL_B
+    v, delay, counted = sign * x[Ix.SPEED], x[Ix.WHEEL_DELAY], 1.0 + scale
+    h[0], h[1], h[2], h[3] = 1.0, -v * counted, -sign * delay * counted, -v * delay
+    y = way - (x[slot] - v * delay * counted)
+    out[0], out[1] = y, take(m, 0, columns, 4, y, R, gate)
     x[slot] -= way
 
 

@@ -239,7 +239,8 @@ class _Fixes(_Columns):
     width = 6
 
     def add(self, message: Any) -> None:
-        moves = message.HasField("vel_n_mps")  # else speed and course are 0 for want of better
+        # A receiver that gives no velocity leaves speed and course 0.
+        moves = message.HasField("vel_n_mps") or message.speed_mps != 0.0
         self.stamp_ns.append(message.stamp_ns)
         self.numbers.extend(
             (

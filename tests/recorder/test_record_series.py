@@ -120,7 +120,7 @@ def test_truth_that_does_not_know_says_nan_and_zero_is_zero(tmp_path):
 
 def test_fix_is_valid_only_with_a_position_and_its_course_becomes_a_yaw(tmp_path):
     messages = [
-        (keys.GNSS_FIX, GnssFix(stamp_ns=START_NS + k, course_deg=course, **flags))
+        (keys.GNSS_FIX, GnssFix(stamp_ns=START_NS + k, speed_mps=1.0, course_deg=course, **flags))
         for k, (course, flags) in enumerate(
             [(0.0, {"valid": True}), (90.0, {}), (200.0, {"valid": True, "invalid_llh": True})]
         )
