@@ -117,6 +117,7 @@ device = "/dev/serial/by-id/usb-tramstream_imu-if00"
 #gyro_noise_radps_rthz = 0.00011344
 #gyro_walk_radps2_rthz = 0.00007563
 #gyro_bias_std_radps = 0.01
+#gyro_aliasing = 0.0  # about a third where vibration is faster than the readings (docs/accuracy.md)
 #accel_noise_mps2_rthz = 0.00022563
 #accel_walk_mps3_rthz = 0.0000353
 #accel_bias_std_mps2 = 0.15
@@ -216,6 +217,8 @@ signal = "MOTOR_FORCE"
 #wheel_creep_m_rtm = 0.0002
 #force_std_mps2_rthz = 0.003
 #sway_std_mps2_rthz = 0.002
+# The same along z, which watches over the pitch on a road; 0: the vertical force is not used.
+#vertical_std_mps2_rthz = 0.0
 # Way to the side and upwards after a second, which walks; none to the side on rails.
 #side_slip_std_m_rts = 0.0
 #heave_std_m_rts = 0.002

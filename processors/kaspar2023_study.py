@@ -3,7 +3,8 @@
 A ride is simulated in memory, goes through the resampler, and each frame of it to a localisation
 filter of every model. What they say is held to the truth twenty times a second. The work does not
 say how the errors of its fixes hang together; so besides our reading (0.95 per second, theory.md
-section 3) there are rides with white errors of the same size.
+section 3) there are rides with white errors of the same size. Beside its two wheels there are rides
+with one, and with wheels that slip and slide.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from tramstream.processors import bound
 from tramstream.processors.bound import Bound
 from tramstream.processors.ekf import LocalisationFilter
 from tramstream.processors.resampler import Resampler
+from tramstream.processors.tram import TramLocaliser
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.scenario import SIDES
@@ -48,6 +50,13 @@ WORK = "kaspar2023"
 EVERY = 5
 """Judged frames: at 20 Hz no error changes between one and the next."""
 
+SMOOTHED = "tram smoothed"
+"""The model `tram` with the whole ride known; judged where the heading is, at its 10 Hz."""
+TWO, ONE, SLIP, WHITE = KINDS = ("two wheels", "one wheel", "slip", "white")
+"""Of rides: as in the work; one wheel read; wheels that slip or slide at `SKIDDING` of the stops;
+errors of one fix that have nothing to do with those of the next."""
+SKIDDING = 0.3
+
 PUBLISHED = {
     "position_p90_map_m": 0.45,
     "position_p90_m": 0.55,
@@ -62,10 +71,9 @@ class Case(NamedTuple):
 
     line: str = BUILT_IN
     """`built-in`, or FILE.geojson#LINE/DIRECTION."""
+    kind: str = TWO
+    """One of `KINDS`."""
     seed: int = 1
-    wheels: int = 2
-    white: bool = False
-    """Whether the errors of one fix have nothing to do with those of the next."""
     duration_s: float | None = None
 
 
@@ -74,12 +82,11 @@ class Figures(NamedTuple):
 
     model: str
     line: str
+    kind: str
     seed: int
-    wheels: int
-    white: bool
     steps: int
     step_us: float
-    """Processor time of the filter with its message, this machine."""
+    """Processor time of the filter with its message, this machine; NaN for the smoother."""
     gnss_p90_m: float
     """Horizontal, raw fixes."""
     position_p90_m: float
@@ -112,20 +119,23 @@ def simulation_of(case: Case) -> Simulation:
     gnss, wheels = chosen.gnss, chosen.wheels
     assert gnss is not None
     assert wheels is not None
-    if case.wheels == 1:
+    if case.kind == ONE:
         chosen = replace(chosen, wheels=replace(wheels, wheels=SIDES[:1]))
-    if case.white:
+    elif case.kind == SLIP:
+        skidding = replace(wheels, slides_per_stop=SKIDDING, slips_per_stop=SKIDDING)
+        chosen = replace(chosen, wheels=skidding)
+    elif case.kind == WHITE:
         chosen = replace(chosen, gnss=replace(gnss, errors=replace(gnss.errors, decay=0.0)))
     return Simulation(line_of(case.line), chosen, case.seed, case.duration_s)
 
 
 def bound_of(case: Case) -> Bound:
-    """What no filter can do better on rides of this kind, whatever their seed."""
+    """What no filter can do better on rides of this kind; seeds differ in when wheels slip."""
     return bound.bound(simulation_of(case))
 
 
 def study(case: Case, models: Sequence[str]) -> list[Figures]:
-    """Run one ride through every model, by their names in `processors.models`."""
+    """Run one ride through every model, by their names in `processors.models`; `tram` both ways."""
     simulation = simulation_of(case)
     runs = [_Run(name, simulation.vehicle) for name in models]
     fixes: list[GnssFix] = []
@@ -133,7 +143,8 @@ def study(case: Case, models: Sequence[str]) -> list[Figures]:
         for run in runs:
             run.take(frame, number % EVERY == 0)
     raw = _fix_errors(simulation, fixes)
-    return [_figures(case, simulation, run, raw) for run in runs]
+    said = [each for run in runs for each in run.said()]
+    return [_figures(case, simulation, each, raw) for each in said]
 
 
 def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[Sample]:
@@ -149,28 +160,18 @@ def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[Sample]:
                 yield released
 
 
-class _Run:
-    """A model on its way: what it said, in flat columns, and the time that it took."""
+class _Said:
+    """What a model said, in flat columns."""
 
-    def __init__(self, model: str, vehicle: Vehicle) -> None:
+    def __init__(self, model: str) -> None:
         self.model = model
         self.steps = 0
-        self.elapsed_s = 0.0
+        self.step_us = float("nan")
         self.stamp_ns = array("q")
         self.numbers = array("d")
         self.covariance = array("d")
-        self._filter = LocalisationFilter(replace(vehicle, ekf=replace(vehicle.ekf, model=model)))
 
-    def take(self, frame: Sample, judged: bool) -> None:
-        begin_s = time.thread_time()
-        outputs = self._filter.step(frame)
-        self.elapsed_s += time.thread_time() - begin_s
-        self.steps += 1
-        for output in outputs:
-            if judged and output.key is keys.EST_STATE:
-                self._keep(output.message)
-
-    def _keep(self, state: MotionState) -> None:
+    def keep(self, state: MotionState) -> None:
         self.stamp_ns.append(state.stamp_ns)
         self.numbers.extend((state.latitude_deg, state.longitude_deg, state.height_ellipsoid_m))
         self.numbers.extend((state.roll_rad, state.pitch_rad, state.yaw_rad))
@@ -202,6 +203,38 @@ class _Run:
             protection_m=columns[:, 11:13],
             innovations=_NO_INNOVATIONS,
         )
+
+
+class _Run:
+    """A model on its way, and the time that it took."""
+
+    def __init__(self, model: str, vehicle: Vehicle) -> None:
+        self._filter = LocalisationFilter(replace(vehicle, ekf=replace(vehicle.ekf, model=model)))
+        self._smooths = model == TramLocaliser.name
+        if self._smooths:
+            self._filter.keep()
+        self._said = _Said(model)
+        self._elapsed_s = 0.0
+
+    def take(self, frame: Sample, judged: bool) -> None:
+        begin_s = time.thread_time()
+        outputs = self._filter.step(frame)
+        self._elapsed_s += time.thread_time() - begin_s
+        self._said.steps += 1
+        for output in outputs:
+            if judged and output.key is keys.EST_STATE:
+                self._said.keep(output.message)
+
+    def said(self) -> Iterator[_Said]:
+        """The filter's, and the smoother's if the model has one."""
+        self._said.step_us = self._elapsed_s / max(self._said.steps, 1) * 1e6
+        yield self._said
+        if self._smooths:
+            smoothed = _Said(SMOOTHED)
+            for sample in self._filter.smoothed():
+                smoothed.keep(sample.message)
+                smoothed.steps += 1
+            yield smoothed
 
 
 _NO_INNOVATIONS = Innovations(
@@ -247,8 +280,8 @@ def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
     return evaluation.fix_errors(series, _truth_at(simulation, stamp_ns), gnss.lever_arm_m)
 
 
-def _figures(case: Case, simulation: Simulation, run: _Run, raw: MotionErrors) -> Figures:
-    states = run.states(simulation.line.level)
+def _figures(case: Case, simulation: Simulation, said: _Said, raw: MotionErrors) -> Figures:
+    states = said.states(simulation.line.level)
     errors = evaluation.errors(states, _truth_at(simulation, states.stamp_ns))
     nees = consistency.nees(errors, NEES_SLOTS["position"])
     protection: Protection | None = consistency.protection(errors)
@@ -259,13 +292,12 @@ def _figures(case: Case, simulation: Simulation, run: _Run, raw: MotionErrors) -
         return float(getattr(found, name)) if found else float("nan")
 
     return Figures(
-        model=run.model,
+        model=said.model,
         line=case.line,
+        kind=case.kind,
         seed=case.seed,
-        wheels=case.wheels,
-        white=case.white,
-        steps=run.steps,
-        step_us=run.elapsed_s / max(run.steps, 1) * 1e6,
+        steps=said.steps,
+        step_us=said.step_us,
         gnss_p90_m=float(np.percentile(raw.horizontal_m, 90)),
         position_p90_m=figure(errors.horizontal_m, "p90"),
         along_rms_m=figure(errors.along_m, "rms"),
@@ -287,8 +319,7 @@ class Overall:
 
     model: str
     line: str
-    wheels: int
-    white: bool
+    kind: str
     rides: int
     step_us: float
     gnss_p90_m: float
@@ -308,9 +339,9 @@ _SQUARED = ("along_rms_m", "across_rms_m", "speed_std_mps", "yaw_rms_deg")
 
 def overall(figures: Sequence[Figures]) -> list[Overall]:
     """Sum up the seeds, in the order in which the kinds of rides come."""
-    kinds: dict[tuple[str, str, int, bool], list[Figures]] = {}
+    kinds: dict[tuple[str, str, str], list[Figures]] = {}
     for each in figures:
-        kinds.setdefault((each.model, each.line, each.wheels, each.white), []).append(each)
+        kinds.setdefault((each.model, each.line, each.kind), []).append(each)
     return [_overall(rides) for rides in kinds.values()]
 
 
@@ -324,8 +355,7 @@ def _overall(rides: list[Figures]) -> Overall:
     return Overall(
         model=first.model,
         line=first.line,
-        wheels=first.wheels,
-        white=first.white,
+        kind=first.kind,
         rides=len(rides),
         step_us=mean("step_us"),
         gnss_p90_m=mean("gnss_p90_m"),
@@ -339,6 +369,12 @@ def _overall(rides: list[Figures]) -> Overall:
         exceeded_along_share=mean("exceeded_along_share") if known else None,
         exceeded_across_share=mean("exceeded_across_share") if known else None,
     )
+
+
+def over_filter(smoothed: Overall, filtered: Overall) -> dict[str, float]:
+    """Figures of the smoother as multiples of the filter's."""
+    names = [each.name for each in fields(Bound)]
+    return {name: getattr(smoothed, name) / getattr(filtered, name) for name in names}
 
 
 def over_bound(total: Overall, least: Bound) -> dict[str, float]:

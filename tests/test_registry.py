@@ -59,7 +59,7 @@ def test_processors_name_themselves_as_they_are_registered() -> None:
         assert processor.inputs
         assert set(processor.pacing) <= set(processor.inputs)
         for key in (*processor.inputs, *processor.outputs):
-            assert keys.find(key.path) is key
+            assert keys.find(key.path) == key
 
 
 def test_no_two_processors_make_one_key() -> None:

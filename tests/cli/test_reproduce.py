@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from tramstream.cli import reproduce as verb
 from tramstream.cli.main import make_app
 from tramstream.errors import ConfigError
+from tramstream.processors.kaspar2023_study import KINDS
 
 DEADLINE_S = 120.0
 COMMAND = [sys.executable, "-m", "tramstream.cli.main", "reproduce", "kaspar2023"]
@@ -52,16 +53,19 @@ def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
     figures = json.loads(done.stdout)
     assert figures["published"]["position_p90_m"] == 0.55
     assert figures["missing_rides"] == 0
-    kinds = {(ride["model"], ride["wheels"], ride["white"]) for ride in figures["rides"]}
-    models = ("tram", "kaspar2023")
-    expected = {(model, *kind) for model in models for kind in ((2, False), (1, False), (2, True))}
+    kinds = {(ride["model"], ride["kind"]) for ride in figures["rides"]}
+    models = ("tram", "tram smoothed", "kaspar2023")
+    expected = {(model, kind) for model in models for kind in KINDS}
     assert kinds == expected
     assert {ride["seed"] for ride in figures["rides"]} == {7}
     assert len(figures["overall"]) == len(expected)
     for total in figures["overall"]:
+        if total["model"] == "tram smoothed":
+            assert total["over_filter"]["position_p90_m"] > 0.0
+            continue
         ratio = total["position_p90_m"] / total["bound"]["position_p90_m"]
         assert total["over_bound"]["position_p90_m"] == pytest.approx(ratio)
-    assert done.stderr.count("/3:") == 3
+    assert done.stderr.count("/4:") == 4
 
 
 @pytest.mark.live
@@ -73,10 +77,10 @@ def test_interrupted_rides_leave_what_was_done() -> None:
         assert process.stderr is not None
         assert process.stdout is not None
         begun_s = time.monotonic()
-        assert process.stderr.readline().startswith("1/60")
+        assert process.stderr.readline().startswith("1/80")
         process.send_signal(signal.SIGINT)
         figures = json.loads(process.stdout.read())
         assert process.wait(DEADLINE_S) == 0
     assert time.monotonic() - begun_s < DEADLINE_S
-    assert 0 < figures["missing_rides"] < 60
-    assert len(figures["rides"]) == 2 * (60 - figures["missing_rides"])
+    assert 0 < figures["missing_rides"] < 80
+    assert len(figures["rides"]) == 3 * (80 - figures["missing_rides"])
