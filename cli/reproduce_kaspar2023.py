@@ -208,7 +208,7 @@ def _explain(console: Console, rides: int, elapsed_s: float) -> None:
         "right, ok: within 95 %; beyond PL: time that the error is beyond the protection level,\n"
         "along and across; µs: one step of the model, here. bound: posterior Cramér-Rao, what\n"
         "no filter can do better, all rides thrown together; where wheels slip, of the first\n"
-        f"seed. slip: at {study.SKIDDING:.0%} of all stops and departures. The errors of the fixes keep\n"
+        f"seed. slip: at {study.SKIDDING:.0%} of all stops and departures. Errors of fixes keep\n"
         "0.95 of themselves in a second; white: nothing, as the filter of the work expects.",
         soft_wrap=True,
     )
