@@ -106,7 +106,7 @@ def _roll(m: Array, c: Array, wheels: Array, variances: Variances, truth: Array)
         if wheels[wheel] == READ:
             measurements.path(m, c, wheel, 0.0, variance, math.inf, out)
         elif wheels[wheel] == SLIPPED:
-            measurements.tie(m, wheel, variance)
+            measurements.tie(m, c, wheel, variance)
         x[:] = truth
 
 

@@ -225,7 +225,11 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
     def tie(self, wheel: int, variance: float) -> None:
         """Count a wheel's path from here on."""
-        measurements.tie(self.memory, wheel, variance)
+        measurements.tie(self.memory, self.parameters, wheel, variance)
+
+    def counted(self, wheel: int) -> float:
+        """Give the path since its last reading that a wheel's counter should show now, m."""
+        return float(measurements.counted(self.memory, self.parameters, wheel))
 
     def _judged(self, names: Sequence[str]) -> list[Verdict]:
         verdicts = []

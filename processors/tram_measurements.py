@@ -157,16 +157,32 @@ def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out:
 
 
 @compiled
-def tie(m: Array, wheel: int, variance: float) -> None:
-    """Count a wheel's path from here on, whatever came before: a slip, a pause, a new counter."""
+def tie(m: Array, c: Array, wheel: int, variance: float) -> None:
+    """Count a wheel's path from here on, whatever came before: a slip, a pause, a new counter.
+
+    What the wheel has gone and its late counter does not show yet, belongs to it.
+    """
     x, P = m[STATE], m[COVARIANCE].reshape((SIZE, SIZE))
-    slot = Ix.PATH_A + 0
+    slot, sign, scale = Ix.PATH_A + 0, c[Pm.SIGN_A], x[Ix.SCALE_A]
     if wheel == 1:
-        slot = Ix.PATH_B + 0
-    x[slot] = 0.0
+        slot, sign, scale = Ix.PATH_B + 0, c[Pm.SIGN_B], x[Ix.SCALE_B]
+    v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
     for i in range(SIZE):
         P[slot, i] = P[i, slot] = 0.0
-    P[slot, slot] = variance
+    x[slot] = sign * v * delay * (1.0 + scale)
+    P[slot, slot] = (
+        variance + v * v * P[Ix.WHEEL_DELAY, Ix.WHEEL_DELAY] + delay**2 * P[Ix.SPEED, Ix.SPEED]
+    )
+
+
+@compiled
+def counted(m: Array, c: Array, wheel: int) -> float:
+    """Give the path since its last reading that a wheel's counter should show now."""
+    x = m[STATE]
+    v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
+    if wheel == 1:
+        return x[Ix.PATH_B] - c[Pm.SIGN_B] * v * delay * (1.0 + x[Ix.SCALE_B])
+    return x[Ix.PATH_A] - c[Pm.SIGN_A] * v * delay * (1.0 + x[Ix.SCALE_A])
 
 
 @compiled
