@@ -111,8 +111,8 @@ def add_errors(page: Page, material: Material, judged: Judged, timeline: Timelin
                 traces.append(Trace(of, each.stamp_ns, _column(each, name), colour))
         if stated is not None:
             traces += _bounds(stated, name)
-        if traces:
-            figures.append(timeline.figure(title, unit, traces))
+        if known := [each for each in traces if each.known]:
+            figures.append(timeline.figure(title, unit, known))
     page.figures(figures)
 
 

@@ -31,6 +31,9 @@ from tramstream.series import Array, Innovations, Instants, Slot, StateSeries, w
 NIS_WINDOW_S, NIS_LEAST = 20.0, 20
 """The rolling mean of NIS spans about so long, and never fewer measurements."""
 
+UNKNOWN_MPS = 3.0
+"""A speed that is known no better is not drawn."""
+
 
 def timeline_of(material: Material) -> Timeline:
     """The time axis, with standstills and GNSS outages shaded."""
@@ -102,7 +105,8 @@ def add_speed(page: Page, material: Material, timeline: Timeline) -> None:
         traces.append(Trace("wheels", wheels.stamp_ns, wheels.speed_mps, WHEELS))
     if material.distance is not None:
         stamp_ns, speed, std = material.distance
-        traces.append(Trace("distance filter", stamp_ns, speed, OTHER, _band(speed, std)))
+        told = speed if std is None else np.where(std < UNKNOWN_MPS, speed, np.nan)
+        traces.append(Trace("distance filter", stamp_ns, told, OTHER, _band(told, std)))
     if smoothed is not None:
         traces.append(Trace("smoothed", smoothed.stamp_ns, smoothed.speed_mps, SMOOTHED))
     if states is not None:
