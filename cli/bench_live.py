@@ -27,6 +27,7 @@ PINGS = 2000
 WARM_UP_S = 5.0
 """Before that processes are still importing and clocks are being fitted."""
 STEPS_HZ = 100.0
+CORE_PERCENT = {"processors": 10.0}
 """Rate of the fusion frames."""
 PING, PONG = keys.full("bench", "ping"), keys.full("bench", "pong")
 
@@ -100,7 +101,10 @@ def live_pipeline(duration_s: float) -> list[Figure]:
     pss_mb = sum(usage.pss_mb[name] for name in cpu)
     others = sorted(set(cpu) - {"recorder"})
     return [
-        *(Figure(f"live_{name}_core_percent", cpu[name]) for name in others),
+        *(
+            Figure(f"live_{name}_core_percent", cpu[name], CORE_PERCENT.get(name), False)
+            for name in others
+        ),
         Figure("live_recorder_core_percent", cpu["recorder"], 5.0, False),
         Figure("live_pipeline_core_percent", sum(cpu.values()), 25.0, False),
         Figure("live_pipeline_pss_mb", pss_mb, 200.0, False),
@@ -158,20 +162,28 @@ def _measure(config: Path, duration_s: float) -> _Usage:
 
 
 def _latency(record: Record) -> list[Figure]:
-    """From the newest sample in a window to the publication of its mean; from the centre too."""
-    topic = keys.SYNC_IMU.on(record.vehicle)
-    after_newest, after_centre = [], []
-    start_ns = record.start_ns + int(WARM_UP_S * S)
-    for entry in record.messages(lambda name: name == topic, start_ns):
-        mean: Any = record.decode(entry)
-        centre_ms = (entry.publish_ns - mean.stamp_ns) / 1e6
-        after_centre.append(centre_ms)
-        after_newest.append(centre_ms - 500.0 * mean.interval_s)
-    return [
-        Figure("imu_to_sync_p50_ms", float(np.percentile(after_newest, 50)), 20.0, False),
-        Figure("imu_to_sync_p99_ms", float(np.percentile(after_newest, 99)), 20.0, False),
-        Figure("imu_centre_to_sync_p99_ms", float(np.percentile(after_centre, 99))),
-    ]
+    """From the newest inertial sample to what is published of it; from its window's centre too.
+
+    And from the receiver's first valid fix to the first state.
+    """
+    figures = []
+    for name, key, goal_ms in (("sync", keys.SYNC_IMU, 20.0), ("state", keys.EST_NOW, 15.0)):
+        topic = key.on(record.vehicle)
+        start_ns = record.start_ns + int(WARM_UP_S * S)
+        entries = record.messages(topic.__eq__, start_ns)
+        made: list[tuple[int, Any]] = [(each.publish_ns, record.decode(each)) for each in entries]
+        after_centre = np.array([publish_ns - mean.stamp_ns for publish_ns, mean in made]) / 1e6
+        after_newest = after_centre - 500.0 / STEPS_HZ
+        figures += [
+            Figure(f"imu_to_{name}_p50_ms", float(np.percentile(after_newest, 50)), goal_ms, False),
+            Figure(f"imu_to_{name}_p99_ms", float(np.percentile(after_newest, 99)), goal_ms, False),
+            Figure(f"imu_centre_to_{name}_p99_ms", float(np.percentile(after_centre, 99))),
+        ]
+    fixes = record.messages(keys.GNSS_FIX.on(record.vehicle).__eq__)
+    fix_ns = next(entry.publish_ns for entry in fixes if record.decode(entry).valid)
+    states = record.messages(keys.EST_STATE.on(record.vehicle).__eq__)
+    waited_s = (next(entry.publish_ns for entry in states) - fix_ns) / S
+    return [*figures, Figure("fix_to_first_state_s", waited_s, 5.0, False)]
 
 
 class _Usage:
