@@ -22,6 +22,7 @@ class Options:
     json: bool
     data: Path | None = None
     mappings: Path | None = None
+    kinds: tuple[str, ...] = ()
 
 
 def reproduce(
@@ -38,6 +39,13 @@ def reproduce(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
             "default); may be given several times.",
             metavar="FILE[#LINE]",
+        ),
+    ] = None,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="kaspar2023: two wheels, one wheel, slip or white; may be given several times; "
+            "default all.",
         ),
     ] = None,
     duration_s: Annotated[
@@ -59,5 +67,6 @@ def reproduce(
 
     if name not in WORKS:
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
-    options = Options(seed, seeds, tuple(line or ()), duration_s or None, json_, data, mappings)
+    lines, kinds = tuple(line or ()), tuple(kind or ())
+    options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     import_module(f"tramstream.cli.reproduce_{name}").reproduce(options)

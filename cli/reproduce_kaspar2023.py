@@ -18,6 +18,7 @@ from rich.table import Table
 
 from tramstream.cli.reproduce import Options
 from tramstream.cli.session import say, stop_on_signals
+from tramstream.errors import ConfigError
 from tramstream.processors import kaspar2023_study as study
 from tramstream.processors.bound import Bound
 from tramstream.processors.kaspar2023_study import PUBLISHED, Case, Figures, Overall
@@ -35,12 +36,17 @@ def reproduce(options: Options) -> None:
     first = 1 if options.seed is None else options.seed
     seeds = range(first, first + (options.seeds or SEEDS))
     lines = options.lines or (study.BUILT_IN,)
+    kinds = options.kinds or study.KINDS
+    if unknown := set(kinds) - set(study.KINDS):
+        raise ConfigError(
+            f"no rides are called {min(unknown)!r}; there are: {', '.join(study.KINDS)}"
+        )
     for line in lines:
         study.line_of(line)  # a line that cannot be used is told before the work begins
     cases = [
         Case(line, kind, seed, options.duration_s)
         for line in lines
-        for kind in study.KINDS
+        for kind in kinds
         for seed in seeds
     ]
     began_s = time.monotonic()

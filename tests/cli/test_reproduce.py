@@ -46,6 +46,13 @@ def test_line_that_is_not_there_is_told_before_the_rides_begin() -> None:
     assert result.stdout == ""
 
 
+def test_kind_of_rides_that_is_not_there_is_told_with_those_there_are() -> None:
+    result = run("kaspar2023", "--kind", "three wheels", "--json")
+    assert isinstance(result.exception, ConfigError)
+    for kind in KINDS:
+        assert kind in str(result.exception)
+
+
 @pytest.mark.live
 def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
     command = [*COMMAND, "--seeds", "1", "--seed", "7", "--duration-s", "45", "--json"]
