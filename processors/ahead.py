@@ -41,15 +41,14 @@ class Ahead:
         return self._last_ns
 
     def append(self, mean: ImuMean) -> None:
-        """Take a mean; they come in order."""
+        """Take a mean, unless there is a newer one already, or it cannot be."""
         dt = (mean.stamp_ns - self._last_ns) / S
-        if not 0.0 < dt <= MAX_STEP_S:
-            dt = 0.0
-        gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
-        ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
-        if not np.isfinite(gx + gy + gz + ax + ay + az):
+        readings = frames.readings(mean)
+        if readings is None or dt <= 0.0:
             return
-        frames.read(self._reading, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        if dt > MAX_STEP_S:
+            dt = 0.0
+        frames.read(self._reading, self._C_vb, *readings, dt)
         self._last_ns = mean.stamp_ns
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))

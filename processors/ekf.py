@@ -57,6 +57,7 @@ class LocalisationFilter(Processor):
         self._second = 0
         self._said: dict[str, int] = {}
         self._now_count = 0
+        self._now_ns = 0  # stamp of the last state for now
         self._ended: list[Trace] = []  # of filters before this one, where it is traced
 
     def step(self, sample: Sample) -> list[Sample]:
@@ -67,8 +68,9 @@ class LocalisationFilter(Processor):
         for mean in frame.ahead:
             self.localiser.see(mean)
         estimate = self.localiser.ahead() if frame.ahead else None
-        if estimate is None or not _finite(estimate):
+        if estimate is None or estimate.stamp_ns == self._now_ns or not _finite(estimate):
             return []
+        self._now_ns = estimate.stamp_ns
         message = self._message(estimate, self._here())
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if self._now_count % LOCATION_EVERY == 0:
@@ -198,6 +200,7 @@ class LocalisationFilter(Processor):
             "second": self._second,
             "said": dict(self._said),
             "now_count": self._now_count,
+            "now_ns": self._now_ns,
             "places": None if self._places is None else self._places.snapshot(),
         }
 
@@ -205,7 +208,7 @@ class LocalisationFilter(Processor):
         self.restore_sequences(state["sequences"])
         self.localiser.restore(state["localiser"])
         self._second, self._said = state["second"], dict(state["said"])
-        self._now_count = state["now_count"]
+        self._now_count, self._now_ns = state["now_count"], state["now_ns"]
         self._places = None
         level = self.localiser.level
         if state["places"] is not None and level is not None:

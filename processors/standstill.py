@@ -84,11 +84,6 @@ class Standstill:
         return self._statistics[1]
 
     @property
-    def mean(self) -> Array:
-        """Mean of rates and specific forces in the last moments, shape (6,)."""
-        return self._statistics[0]
-
-    @property
     def speed_over_ground_mps(self) -> float:
         """Last speed that GNSS measured; 0 if it never has."""
         return self._gnss_mps if math.isfinite(self._gnss_mps) else 0.0

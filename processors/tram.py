@@ -26,7 +26,7 @@ from tramstream.processor import State
 from tramstream.processors.ahead import Ahead
 from tramstream.processors.standstill import Standstill
 from tramstream.processors.tram_estimate import at_fix, estimate_of, plain, without_heading
-from tramstream.processors.tram_fixes import antenna_l, is_far, unusable
+from tramstream.processors.tram_fixes import antenna_l, doubts, unusable, velocity
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
 from tramstream.processors.tram_search import Search
@@ -37,8 +37,8 @@ from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
 SILENT_S = 0.5
 """Neither inertial nor wheel reading for so long: the sensors have fallen silent."""
-BLIND_S = 10.0
-"""After such a silence the heading is sought anew: a tram turns by 90° in less."""
+BLIND_S = 5.0
+"""After such a silence the heading is sought anew: a tram turns by 45° in less."""
 UNSEEN_MPS = 15.0
 """How fast a vehicle moves that nobody sees."""
 HEARD_S = 0.5
@@ -165,10 +165,13 @@ class TramLocaliser:
 
     def _see(self, navigation: Navigation, fix: GnssFix) -> None:
         """Take note of a fix, apart from the filter."""
-        if unusable(fix, navigation.level):
-            if not unusable(fix, None) and is_far(fix, navigation.level):
+        reason = unusable(fix, navigation.level)
+        if reason:
+            self._complaints.append(f"{reason} was left out")
+            if not unusable(fix, None):
                 self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
             return
+        self._complaints += doubts(fix)
         self._far_ns = (0, 0)
         speed = self._speed_over_ground(navigation, fix)
         if speed is not None:
@@ -177,9 +180,9 @@ class TramLocaliser:
 
     def _speed_over_ground(self, navigation: Navigation, fix: GnssFix) -> float | None:
         """What the receiver measured, or else how far apart two neighbouring fixes are."""
-        if fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps"):
-            speed = math.hypot(fix.vel_e_mps, fix.vel_n_mps)
-            return speed if math.isfinite(speed) else None
+        measured = velocity(fix)
+        if measured is not None:
+            return math.hypot(*measured)
         last = self._last_fix
         if last is None or not 0 < fix.stamp_ns - last.stamp_ns < 3 * S:
             return None
@@ -196,6 +199,7 @@ class TramLocaliser:
             if standing:
                 return navigation.run(frame, True, noise)
             if self._heard_ns and self._stamp_ns - self._heard_ns > SILENT_S * S:
+                self._lose(navigation)
                 return []
             self._search = Search(navigation, self._last_fix)
         search, speed_mps = self._search, self._standstill.speed_over_ground_mps
@@ -220,24 +224,32 @@ class TramLocaliser:
         ekf.forget((Ix.SPEED,), (0.0,))
 
     # Silence -------------------------------------------------------------------------------------
+    def _lose(self, navigation: Navigation) -> None:
+        """Let time pass until now of which nothing is known but what the sensors' errors do."""
+        navigation.ekf.rest((self._stamp_ns - navigation.stamp_ns) / S)
+        navigation.fixes.renew(navigation.ekf)
+        for wheel in (0, 1):
+            navigation.ekf.tie(wheel, 0.0)
+        navigation.stamp_ns, navigation.stood = self._stamp_ns, False
+        self._place_again(navigation)
+
     def _listen(self, navigation: Navigation, frame: SyncFrame) -> None:
         """Notice that nothing tells of the motion: park a vehicle that stands, or lose it."""
-        silent_ns = frame.stamp_ns - (self._heard_ns or frame.stamp_ns)
+        silent_s = (frame.stamp_ns - (self._heard_ns or frame.stamp_ns)) / S
         if frame.HasField("imu") or frame.odometry:
             self._heard_ns = frame.stamp_ns
-        if silent_ns <= SILENT_S * S or not (self._aligned or self._search):
+        if silent_s <= SILENT_S or not (self._aligned or self._search):
             return
         if self._aligned and self._parked is None and self._standstill.standing:
             self._parked = Parked(navigation)
-        if silent_ns > BLIND_S * S:
+        if silent_s > BLIND_S:
             self._complaints.append(
-                "no sensor has told of the motion for more than 10 s; the heading is sought anew"
+                "no sensor has told of the motion for more than 5 s; the heading is sought anew"
             )
             self._aligned, self._search = False, None
-            self._way_m += UNSEEN_MPS * silent_ns / S
-            navigation.stamp_ns, navigation.stood = frame.stamp_ns, False
+            self._way_m += UNSEEN_MPS * silent_s
             navigation.unface()
-            self._place_again(navigation)
+            self._lose(navigation)
 
     def _wake(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> None:
         """Find out whether a parked vehicle stands there yet."""

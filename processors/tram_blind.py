@@ -1,8 +1,9 @@
 """What carries the model `tram` on while no inertial reading comes.
 
 Speed is left to itself and may change as that of a tram does. The heading turns as the bus' own
-yaw rate says where there is one; else nothing tells it but the wheels, by their difference, and so
-its noise is as large as a tram turns in a curve.
+yaw rate says where there is one; else nothing tells it but the wheels, by their difference. So its
+noise is as large as a tram turns in a curve where there are two, and what fixes can follow where
+there are not.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ BRIDGED_S = 2.0
 SPEED_STD_MPS_RTS = 1.5
 """How the speed may change unseen: 5 m/s within ten seconds."""
 YAW_STD_RAD_RTS = 0.07
-"""How the heading may turn unseen: 0.3 rad/s (20 m at 6 m/s) between readings of the wheels."""
+"""How the heading may turn unseen: 0.15 rad/s (60 m at 9 m/s) for a quarter of a second,"""
+PAIR_YAW_STD_RAD_RTS = 0.2
+"""and for some seconds, where two wheels tell by how much."""
 
 _MOVING = slice(int(Pm.ACCEL_DENSITY), int(Pm.YAW_DENSITY) + 1)
 
@@ -41,7 +44,10 @@ class Blind:
     def __init__(self, vehicle: Vehicle, c: Array) -> None:
         tilt = vehicle.ekf.tilt_std_rad_rts
         self._sighted = c[_MOVING].copy()
-        self._blind = np.array([SPEED_STD_MPS_RTS, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
+        self._bridged = np.array([SPEED_STD_MPS_RTS, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
+        self._blind = self._bridged.copy()
+        if vehicle.odometer is not None and len(vehicle.odometer.wheels) > 1:
+            self._blind[-1] = PAIR_YAW_STD_RAD_RTS**2
         self.active = False
         """Whether the densities are others than those with readings."""
 
@@ -52,7 +58,7 @@ class Blind:
 
     def bridge(self, c: Array, pause_s: float) -> None:
         """Readings on either side of a pause tell of it, the less the longer it was."""
-        c[_MOVING] = self._sighted + (pause_s / BRIDGED_S) ** 2 * self._blind
+        c[_MOVING] = self._sighted + (pause_s / BRIDGED_S) ** 2 * self._bridged
         self.active = True
 
     def end(self, c: Array) -> None:

@@ -31,7 +31,8 @@ NEW_REGIME = 2.0
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
 ABSORB_S = 8.0
-"""Fixes refused for so long have a new error, not an outlier."""
+"""Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
+first fix was as old, it was the first ones that were wrong."""
 ABSURD_SIGMA = 8.0
 ABSURD_S = 60.0
 ABSURD_M = 200.0
@@ -47,10 +48,32 @@ HOPELESS_S = 600.0
 WORST_STD_M = 1000.0
 """A fix that claims no more than this tells nothing."""
 VELOCITY_FLOOR_MPS = 0.03
+VELOCITY_STD_MPS = 0.5
+"""Of one whose receiver says nothing of its accuracy."""
+FASTEST_MPS = 100.0
+"""No rail vehicle of this house is faster; a velocity beyond is none."""
 FAR_M = 200_000.0
 """A fix further from the origin is not of this ride."""
 HIGHEST_M = 9000.0
 """Mount Everest."""
+
+
+def velocity(fix: GnssFix) -> tuple[float, float] | None:
+    """East and north, m/s, if the receiver has measured what can be a velocity."""
+    if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
+        return None
+    east, north = fix.vel_e_mps, fix.vel_n_mps
+    return (east, north) if abs(east) + abs(north) < FASTEST_MPS else None
+
+
+def doubts(fix: GnssFix) -> list[str]:
+    """Sentences on what is taken of a usable fix for less than it claims to be."""
+    found = []
+    if not (math.isfinite(fix.horizontal_std_m) and fix.horizontal_std_m > 0.0):
+        found.append("a fix without a usable accuracy was taken for a poor one")
+    if fix.HasField("vel_e_mps") and velocity(fix) is None:
+        found.append("a fix's velocity that cannot be was left out")
+    return found
 
 
 def deviations(fix: GnssFix, floor_m: float) -> tuple[float, float]:
@@ -77,12 +100,12 @@ def unusable(fix: GnssFix, level: LocalLevel | None) -> str:
         return "a fix that is not near the ground"
     if fix.horizontal_std_m > WORST_STD_M and math.isfinite(fix.horizontal_std_m):
         return "a fix that is good to a kilometre at best"
-    if level is not None and is_far(fix, level):
+    if level is not None and _is_far(fix, level):
         return "a fix hundreds of kilometres away from where the ride began"
     return ""
 
 
-def is_far(fix: GnssFix, level: LocalLevel) -> bool:
+def _is_far(fix: GnssFix, level: LocalLevel) -> bool:
     """Whether a fix cannot be of a ride that began at the origin of `level`."""
     radius = 6_371_000.0
     north = (math.radians(fix.latitude_deg) - level.latitude_rad) * radius
@@ -113,6 +136,7 @@ class Fixes:
         self._refused_ns = 0  # since when; 0 if the last was taken
         self._absurd_ns = 0
         self._absurd_m = 0.0
+        self._begun_ns = 0  # first fix
         self._last_ns = 0
         self.accepted_ns = 0
         """Stamp of the last fix that was believed."""
@@ -133,6 +157,7 @@ class Fixes:
     ) -> tuple[list[Verdict], str]:
         """Take a usable fix; the filter is at its stamp. Gives the verdicts, and a sentence."""
         std, std_up = deviations(fix, self.floor_m)
+        self._begun_ns = self._begun_ns or fix.stamp_ns
         self._set_noise(ekf, std, std_up)
         z = antenna_l(fix, level)
         verdicts = ekf.position(
@@ -144,20 +169,14 @@ class Fixes:
         sentence = self._refuse(fix.stamp_ns, verdicts, ekf, std) if refused else ""
         if not refused:
             self._refused_ns = 0
-        if not standing and fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps"):
-            verdicts += self._velocity(fix, ekf)
+        measured = None if standing else velocity(fix)
+        if measured is not None:
+            verdicts += ekf.velocity(measured, _velocity_std(fix))
         sentence = self._doubt(fix.stamp_ns, ekf, std, standing) or sentence
         if not refused and self._absurd_ns == 0:
             self.accepted_ns = fix.stamp_ns
         self._last_ns = fix.stamp_ns
         return verdicts, sentence
-
-    def _velocity(self, fix: GnssFix, ekf: TramFilter) -> list[Verdict]:
-        east, north, std = fix.vel_e_mps, fix.vel_n_mps, fix.speed_std_mps
-        if not (math.isfinite(east) and math.isfinite(north)):
-            return []
-        std = std if math.isfinite(std) and std > 0.0 else 0.5
-        return ekf.velocity((east, north), max(std, VELOCITY_FLOOR_MPS))
 
     def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
         c = ekf.parameters
@@ -176,15 +195,28 @@ class Fixes:
         c[Pm.GNSS_DECAY] = 1.0 / self.tau_s
 
     def _refuse(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> str:
-        if self._refused_ns == 0:
-            self._refused_ns = stamp_ns
+        self._refused_ns = self._refused_ns or stamp_ns
         if stamp_ns - self._refused_ns < ABSORB_S * S:
             return ""
-        for slot, verdict in zip((Ix.GNSS_EAST, Ix.GNSS_NORTH), verdicts, strict=False):
-            ekf.memory[slot] += verdict.innovation
-            ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
+        young = self._refused_ns - self._begun_ns < ABSORB_S * S
         self._refused_ns = 0
+        east, north = (verdict.innovation for verdict in verdicts[:2])
+        if young:
+            error = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
+            self._move(ekf, error[0] + east, error[1] + north, std)
+            return "the first fixes were far from all that came; the position is taken from these"
+        for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
+            ekf.memory[slot] += innovation
+            ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
         return "fixes have not fitted the motion for long; their error is taken for larger"
+
+    def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
+        """Let the position be elsewhere, where fixes without an error would have it."""
+        x = ekf.memory
+        x[Ix.EAST] += east
+        x[Ix.NORTH] += north
+        x[Ix.GNSS_EAST] = x[Ix.GNSS_NORTH] = 0.0
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""
@@ -211,11 +243,7 @@ class Fixes:
         self._absurd_ns, self._absurd_m = 0, 0.0
         recent = [each for each in self._taken_ns if stamp_ns - each < HOPELESS_S * S]
         self._taken_ns = [*recent, stamp_ns]
-        x = ekf.memory
-        x[Ix.EAST] += east
-        x[Ix.NORTH] += north
-        x[Ix.GNSS_EAST] = x[Ix.GNSS_NORTH] = 0.0
-        ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
+        self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)
         return "the position was away from the fixes for long; it is taken from them again"
 
@@ -226,3 +254,8 @@ class Fixes:
     def restore(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
             setattr(self, name, list(value) if name == "_taken_ns" else value)
+
+
+def _velocity_std(fix: GnssFix) -> float:
+    std = fix.speed_std_mps
+    return max(std, VELOCITY_FLOOR_MPS) if 0.0 < std < FASTEST_MPS else VELOCITY_STD_MPS

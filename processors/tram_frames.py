@@ -12,7 +12,11 @@ import numpy as np
 from tramstream.kernels import Array, compiled
 from tramstream.processors.tram_kernels import COVARIANCE, STATE, slots
 from tramstream.processors.tram_states import SIZE, Ix
+from tramstream.proto.sync_pb2 import ImuMean
 
+FASTEST_RADPS = 4.0
+HARDEST_MPS2 = 60.0
+"""No vehicle turns faster or is pushed harder; a reading beyond is none."""
 SMOOTHING_S = 0.1
 """Of the angular rates, for their derivative."""
 STEADY_S = 0.5
@@ -20,6 +24,17 @@ STEADY_S = 0.5
 SHAKING_S = 0.3
 """Of what neighbouring rates differ by: a pothole is over after so long."""
 _MOVED = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
+
+
+def readings(mean: ImuMean) -> tuple[float, float, float, float, float, float] | None:
+    """Give the rates and specific forces of a mean; None if they cannot be."""
+    gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
+    ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
+    # Comparisons with what is no number are false.
+    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
+    if turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2:
+        return gx, gy, gz, ax, ay, az
+    return None
 
 
 @compiled

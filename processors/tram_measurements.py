@@ -236,7 +236,8 @@ def standing(m: Array, c: Array, u: Array, gate: float = math.inf) -> bool:
     h[0], h[1] = -c[Pm.GRAVITY] * cp, 1.0
     h[2], h[3] = c[Pm.GRAVITY] * cp * across, -c[Pm.GRAVITY] * cp * upright
     force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
-    take(m, 4, _LEVEL, 4, force - gravity, c[Pm.STILL_FORCE_VARIANCE], math.inf)
+    # Braking with locked wheels that was taken for standing is no slope.
+    take(m, 4, _LEVEL, 4, force - gravity, c[Pm.STILL_FORCE_VARIANCE], gate)
     return stopped
 
 

@@ -39,9 +39,6 @@ LONGEST_STEP_S = 0.1
 """Through a pause the filter goes in steps: what a step adds to the speed moves the next one."""
 ASTRAY_S = 0.5
 """A measurement so far outside of its frame has a stamp that is wrong."""
-FASTEST_RADPS = 4.0
-HARDEST_MPS2 = 60.0
-"""No vehicle turns faster or is pushed harder; a reading beyond is none."""
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
 
@@ -112,7 +109,7 @@ class Navigation:
         if frame.stamp_ns - self._read_ns < HELD_S * S:
             return False
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
-        if rates and math.isfinite(rates[-1].yaw_rate_radps):
+        if rates and abs(rates[-1].yaw_rate_radps) < frames.FASTEST_RADPS:
             self._read_rate(rates[-1])
         elif frame.stamp_ns - self._rate_ns > RATE_HELD_S * S:
             for row in self.inputs[1:3]:
@@ -121,23 +118,18 @@ class Navigation:
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
-        gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
-        ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
-        # Comparisons with what is no number are false.
-        if not (
-            abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
-            and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2
-        ):
+        readings = frames.readings(mean)
+        if readings is None:
             self.complaints.append("an inertial reading that cannot be was left out")
             return False
         dt = (mean.stamp_ns - self._read_ns) / S if self._read_ns else 0.0
         pause = dt > HELD_S
         if pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0):
-            frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, 0.0)
+            frames.read(self.inputs, self._C_vb, *readings, 0.0)
             self._blind.hold(self.inputs[2], self.ekf.memory)
             self._blind.begin(self.ekf.parameters)
         else:
-            frames.read(self.inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+            frames.read(self.inputs, self._C_vb, *readings, dt)
             if pause:
                 self._blind.bridge(self.ekf.parameters, dt)
             else:
@@ -238,11 +230,7 @@ class Navigation:
 
     def _measure(self, measurement: Any, standing: bool) -> list[Verdict]:
         if isinstance(measurement, GnssFix):
-            if not measurement.valid:
-                return []
-            reason = unusable(measurement, self.level)
-            if reason:
-                self.complaints.append(f"{reason} was left out")
+            if not measurement.valid or unusable(measurement, self.level):
                 return []
             verdicts, sentence = self.fixes.take(measurement, self.ekf, self.level, standing)
             if sentence:

@@ -21,7 +21,7 @@ from tramstream.localisation import Verdict
 from tramstream.processors.alignment import Alignment
 from tramstream.processors.tram_fixes import antenna_l, unusable
 from tramstream.processors.tram_navigation import Navigation
-from tramstream.processors.tram_states import Ix
+from tramstream.processors.tram_states import Ix, Pm
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
 
@@ -39,6 +39,8 @@ SURE = 20.0
 stays within 5 either way; the first acceleration or curve makes it hundreds."""
 UNSURE_WAY_M = 300.0
 """After so long a way the likelier direction is taken, however little."""
+_SIDES = slice(int(Pm.OFFSET_A), int(Pm.OFFSET_B) + 1)
+"""Where the wheels are, which may have been met since the departure."""
 
 
 class Search:
@@ -106,8 +108,10 @@ class Search:
     def give_up(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
         wheels, stamp_ns = navigation.wheels.snapshot(), self._last_ns
+        sides = navigation.ekf.parameters[_SIDES].copy()
         navigation.restore(self._anchor)
         navigation.wheels.restore(wheels)
+        navigation.ekf.parameters[_SIDES] = sides
         navigation.stamp_ns = stamp_ns
 
     # Displacements -------------------------------------------------------------------------------
@@ -131,7 +135,7 @@ class Search:
     ) -> list[Verdict]:
         counted = navigation.wheels.counted(self._kept)
         direction = navigation.wheels.direction(counted)
-        verdicts: list[Verdict] = []
+        verdicts: dict[float, list[Verdict]] = {}
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
             navigation.restore(self._anchor)
             ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad
@@ -145,30 +149,30 @@ class Search:
             ekf.log_likelihood_sum = FORWARDS if sign > 0.0 else 0.0
             for frame in self._kept:
                 inertial = navigation.read(frame)
-                verdicts = navigation.run(frame, False, noise if inertial else None)
+                verdicts[sign] = navigation.run(frame, False, noise if inertial else None)
             self._tried.append(_state(sign, navigation))
         self._kept = []
-        self._decide(navigation)
-        return verdicts
+        return verdicts[self._decide(navigation)]
 
     def _go_on(
         self, navigation: Navigation, frame: SyncFrame, standing: bool, noise: Array | None
     ) -> list[Verdict]:
-        verdicts: list[Verdict] = []
+        verdicts: dict[float, list[Verdict]] = {}
         for number, tried in enumerate(self._tried):
             _load(navigation, tried)
             inertial = navigation.read(frame)
-            verdicts = navigation.run(frame, standing, noise if inertial else None)
+            verdicts[tried["sign"]] = navigation.run(frame, standing, noise if inertial else None)
             self._tried[number] = _state(tried["sign"], navigation)
-        self._decide(navigation)
-        return verdicts
+        return verdicts[self._decide(navigation)]
 
-    def _decide(self, navigation: Navigation) -> None:
+    def _decide(self, navigation: Navigation) -> float:
+        """Leave `navigation` with the likelier direction, which it returns."""
         self._tried.sort(key=lambda each: -float(each["likelihood"]))
         first, last = self._tried[0], self._tried[-1]
         _load(navigation, first)
         sure = len(self._tried) == 1 or not first["likelihood"] - last["likelihood"] < SURE
         self.found = sure or self._alignment.way_m > UNSURE_WAY_M
+        return float(first["sign"])
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:

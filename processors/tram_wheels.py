@@ -46,8 +46,6 @@ BLIND_STD_M = 0.3
 """but up to this one it says more than a filter that knows its way no better."""
 MAX_MPS = 40.0
 """A counter that runs faster has started anew; a wheel that says so errs."""
-MAX_ROLL_M = 0.02
-"""By so much a wheel may roll while the vehicle stands."""
 COUNTS_DOWN = 2
 """Readings in a row by which a counter is seen to count down; one may have started anew."""
 BACKWARDS_MPS = 0.3
