@@ -14,17 +14,16 @@ from statistics import NormalDist
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import keys, place
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.kernels import sound
-from tramstream.localisation import HEADING_UNKNOWN, Estimate, Localiser
+from tramstream.localisation import Estimate, Localiser
 from tramstream.place import Places
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.models import localiser, traced
 from tramstream.processors.tram_smoother import smooth
 from tramstream.processors.tram_trace import Trace, TracedLocaliser
-from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
+from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
 LOCATION_EVERY = 10
@@ -67,9 +66,9 @@ class LocalisationFilter(Processor):
         for mean in frame.ahead:
             self.localiser.see(mean)
         estimate = self.localiser.ahead() if frame.ahead else None
-        if estimate is None or not _finite(estimate):
+        message = self._message(estimate, self._here()) if estimate is not None else None
+        if estimate is None or message is None:
             return []
-        message = self._message(estimate, self._here())
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if self._now_count % LOCATION_EVERY == 0:
             made.append(self.emit(keys.EST_LOCATION, _location(message), estimate.stamp_ns))
@@ -80,8 +79,8 @@ class LocalisationFilter(Processor):
         estimate = self.localiser.take(sample.message)
         made = []
         if estimate is not None:
-            if _finite(estimate):
-                message = self._message(estimate, self._here())
+            message = self._message(estimate, self._here())
+            if message is not None:
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
             else:
                 made += self._start_again(sample.stamp_ns)
@@ -132,37 +131,18 @@ class LocalisationFilter(Processor):
             self._places = Places(level)
         return self._places
 
-    def _message(self, estimate: Estimate, places: Places) -> MotionState:
-        said = places.describe(estimate.motion, estimate.covariance)
-        along, across = said[place.ALONG], said[place.ACROSS]
-        mode = estimate.mode
-        if mode == HEADING_UNKNOWN:
-            along = across = said[place.WORST]
-        return MotionState(
-            mode=mode,
-            latitude_deg=said[0],
-            longitude_deg=said[1],
-            height_ellipsoid_m=said[2],
-            speed_mps=estimate.speed_mps,
-            acceleration_mps2=estimate.acceleration_mps2,
-            roll_rad=said[3],
-            pitch_rad=said[4],
-            yaw_rad=said[5],
-            yaw_rate_radps=estimate.yaw_rate_radps,
-            standing=estimate.standing,
-            along_std_m=along,
-            across_std_m=across,
-            up_std_m=said[8],
-            speed_std_mps=said[9],
-            yaw_std_rad=said[10],
-            protection_along_m=self._quantile * along,
-            protection_across_m=self._quantile * across,
-            covariance=said[place.COVARIANCE :],
-            innovations=[
-                Innovation(measurement=name, value=value, variance=variance, accepted=accepted)
-                for name, value, variance, accepted in estimate.verdicts
-            ],
-        )
+    def _message(self, estimate: Estimate, places: Places) -> MotionState | None:
+        """The state as it is published; None if it is no number."""
+        message = places.describe(estimate, self._quantile)
+        if message is None:
+            return None
+        message.mode = estimate.mode
+        message.standing = estimate.standing
+        for name, value, variance, accepted in estimate.verdicts:
+            message.innovations.add(
+                measurement=name, value=value, variance=variance, accepted=accepted
+            )
+        return message
 
     # The whole ride known ------------------------------------------------------------------------
     def keep(self) -> None:
@@ -181,9 +161,9 @@ class LocalisationFilter(Processor):
         for trace in self._traces():
             places = Places(trace.level)
             for estimate in smooth(trace).estimates():
-                if estimate.stamp_ns > last_ns and _finite(estimate):
+                message = self._message(estimate, places)
+                if estimate.stamp_ns > last_ns and message is not None:
                     last_ns = estimate.stamp_ns
-                    message = self._message(estimate, places)
                     yield self.emit(keys.EST_SMOOTHED, message, last_ns)
 
     def _traces(self) -> list[Trace]:
@@ -211,11 +191,6 @@ class LocalisationFilter(Processor):
         if state["places"] is not None and level is not None:
             self._places = Places(level)
             self._places.restore(state["places"])
-
-
-def _finite(estimate: Estimate) -> bool:
-    """Whether everything is a number and no variance is negative."""
-    return bool(sound(estimate.motion, estimate.covariance))
 
 
 def _location(state: MotionState) -> LocationFix:

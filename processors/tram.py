@@ -25,7 +25,13 @@ from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.processor import State
 from tramstream.processors.ahead import Ahead
 from tramstream.processors.standstill import Standstill
-from tramstream.processors.tram_estimate import at_fix, estimate_of, plain, without_heading
+from tramstream.processors.tram_estimate import (
+    at_fix,
+    estimate_of,
+    from_plain,
+    plain,
+    without_heading,
+)
 from tramstream.processors.tram_fixes import antenna_l, is_far, unusable
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
@@ -365,7 +371,7 @@ class TramLocaliser:
         self._last_fix = None if last is None else GnssFix.FromString(last)
         self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])
         self._ahead.restore(state["ahead"])
-        self._last = None if state["last"] is None else Estimate(**state["last"])
+        self._last = None if state["last"] is None else from_plain(state["last"])
         for name in _PLAIN:
             setattr(self, name, state[name])
 
