@@ -36,7 +36,7 @@ from tramstream.processors.tram_fixes import antenna_l, is_far, unusable
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
 from tramstream.processors.tram_search import Search
-from tramstream.processors.tram_states import SIZE, UNITS, Ix, Pm
+from tramstream.processors.tram_states import SIZE, UNITS, Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -286,9 +286,8 @@ class TramLocaliser:
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
         mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
-        memory = navigation.ekf.memory
-        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
-        estimate = estimate_of(memory, share, self._stamp_ns, mode, standing, verdicts)
+        ekf = navigation.ekf
+        estimate = estimate_of(ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts)
         if self._aligned:
             return estimate
         fix = self._last_fix
@@ -312,9 +311,8 @@ class TramLocaliser:
             return None
         if not self._aligned:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
-        m = self._ahead.predict(navigation.ekf, self._stamp_ns)
-        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
-        return estimate_of(m, share, stamp_ns, last.mode, last.standing, [])
+        values = self._ahead.predict(navigation.ekf, self._stamp_ns)
+        return Estimate(stamp_ns, last.mode, values, last.standing)
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation

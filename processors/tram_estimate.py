@@ -26,11 +26,11 @@ NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 
 
 def estimate_of(
-    m: Array, share: float, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+    m: Array, c: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
 ) -> Estimate:
-    """Give the motion of the vehicle's origin out of the filter's memory; see `origin`."""
+    """Give the motion of the vehicle's origin out of the filter's memory; see `say`."""
     values = np.empty(VALUES)
-    frames.say(m, share if mode != HEADING_UNKNOWN else 0.0, values)
+    frames.say(m, c, mode != HEADING_UNKNOWN, values)
     return Estimate(stamp_ns, mode, values, standing, verdicts)
 
 
