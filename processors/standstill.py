@@ -39,6 +39,7 @@ LEARNING_S = 20.0
 SEPARATION = 2.0
 """The shaking must differ by this factor between running and standing to be of use."""
 RUNNING_MPS = 2.0
+_SEPARATION = math.log(SEPARATION)
 PUSH_MPS2 = 0.12
 """Change of the mean specific force along the track that sets a vehicle going: without wheels the
 first thing to be seen."""
@@ -50,12 +51,20 @@ GNSS_AGE_S = 2.5
 
 
 @compiled
-def smooth(statistics: Array, u: Array, weight: float) -> None:
-    """Follow mean and variance of a reading: rows of `statistics`, shape (2, 6)."""
+def smooth(statistics: Array, u: Array, weight: float) -> tuple[float, float, float]:
+    """Follow mean and variance of a reading: rows of `statistics`, shape (2, 6).
+
+    Returns
+    -------
+    rate, force, shaking : float
+        Mean about the vertical axis, and along the track; sum of the variances of the forces.
+    """
     for k in range(6):
         before = u[k] - statistics[0, k]
         statistics[0, k] += weight * before
         statistics[1, k] += weight * (before * (u[k] - statistics[0, k]) - statistics[1, k])
+    shaking = statistics[1, 3] + statistics[1, 4] + statistics[1, 5]
+    return statistics[0, 2], statistics[0, 3], shaking
 
 
 class Standstill:
@@ -111,7 +120,7 @@ class Standstill:
         u: Array | None,
         dt_s: float,
         speed_mps: float,
-        speed_std_mps: float,
+        speed_variance: float,
         bias_z: float,
     ) -> bool:
         """Decide for the instant `stamp_ns`.
@@ -131,7 +140,7 @@ class Standstill:
             self._last_ns = stamp_ns
             self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
         if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
-            standing = self._by_wheels(stamp_ns, speed_mps, speed_std_mps)
+            standing = self._by_wheels(stamp_ns, speed_mps, speed_variance)
         else:
             standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
             if standing and not self.standing and self.since_ns:
@@ -141,14 +150,15 @@ class Standstill:
             self._still_force = float(self._statistics[0, 3])
         return standing
 
-    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_std_mps: float) -> bool:
+    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_variance: float) -> bool:
         if stamp_ns - self._turned_ns < WHEELS_STILL_S * S:
             return False
         fast = self._gnss_ns - self._fast_ns > FAST_S * S
         if fast and stamp_ns - self._gnss_ns < GNSS_AGE_S * S:
             return False
+        std_mps = math.sqrt(max(speed_variance, 0.0))
         # NaN: not known, so it stands.
-        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * speed_std_mps
+        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * std_mps
 
     def _follow(
         self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
@@ -157,9 +167,8 @@ class Standstill:
             self._statistics[0] = u[:6]
             self._started, self._quiet_ns = True, stamp_ns
             self._still_force = float(u[3])
-        smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
-        (_, _, rate, force, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
-        level = 0.5 * math.log(x + y + z + 1e-12)
+        rate, force, shaking = smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
+        level = 0.5 * math.log(shaking + 1e-12)
         known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
         slow = self._gnss_mps if known else abs(speed_mps)
         weight = dt_s / LEARNING_S
@@ -178,7 +187,7 @@ class Standstill:
         if abs(rate) > STEADY_RADPS:
             return False
         still, running = self._still_level, self._running_level
-        if still and running and running - still > math.log(SEPARATION):
+        if still and running and running - still > _SEPARATION:
             return level < 0.5 * (still + running)
         return slow < CREEP_MPS
 

@@ -90,13 +90,15 @@ class TramLocaliser:
 
     # One frame -----------------------------------------------------------------------------------
     def take(self, frame: SyncFrame) -> Estimate | None:
-        if frame.stamp_ns <= self._stamp_ns and not self._set_back(frame.stamp_ns):
+        stamp_ns = frame.stamp_ns
+        if stamp_ns <= self._stamp_ns and not self._set_back(stamp_ns):
             return None
-        gap_s = (frame.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
-        self._stamp_ns = frame.stamp_ns
+        gap_s = (stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        self._stamp_ns = stamp_ns
         navigation = self._navigation
-        slipping_s = navigation.wheels.slipping_s(frame.stamp_ns) if navigation else 0.0
-        self._complaints += self._silence.step(frame, slipping_s)
+        if self._silence.see(frame):
+            slipping_s = navigation.wheels.slipping_s(self._stamp_ns) if navigation else 0.0
+            self._complaints += self._silence.sentences(self._stamp_ns, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
@@ -109,8 +111,9 @@ class TramLocaliser:
         else:
             verdicts = self._seek(navigation, frame, standing)
         self._wake(navigation, frame, standing)
-        self._complaints += navigation.complaints
-        navigation.complaints.clear()
+        if navigation.complaints:
+            self._complaints += navigation.complaints
+            navigation.complaints.clear()
         if navigation.fixes.hopeless:
             self._begin_again("the position was taken from the fixes again and again")
             return None
@@ -140,31 +143,27 @@ class TramLocaliser:
         """Read the sensors and tell whether the vehicle stands."""
         self._inertial = navigation.read(frame)
         standstill = self._standstill
-        counted = [way for way in map(self._count, frame.odometry) if way is not None]
-        x = navigation.ekf.memory
-        speed, speed_std = math.nan, 0.0
-        if self._aligned:
-            speed = float(x[Ix.SPEED])
-            speed_std = math.sqrt(max(float(navigation.ekf.P[Ix.SPEED, Ix.SPEED]), 0.0))
+        counted_m = 0.0
+        for reading in frame.odometry:
+            counted_m += self._count(reading)
+        ekf, stamp_ns = navigation.ekf, self._stamp_ns
+        speed, variance = (ekf.speed, ekf.speed_variance) if self._aligned else (math.nan, 0.0)
         u = navigation.inputs[1] if self._inertial else None
-        standing = standstill.step(
-            frame.stamp_ns, u, min(gap_s, 0.1), speed, speed_std, float(x[Ix.GYRO_Z])
-        )
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, ekf.gyro_bias_z)
         if not standing:
-            heard = frame.stamp_ns - self._wheels_ns < HEARD_S * S
-            unseen_m = UNSEEN_MPS * gap_s
-            self._way_m += sum(counted) if heard else unseen_m
+            heard = stamp_ns - self._wheels_ns < HEARD_S * S
+            self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
         for fix in frame.gnss:
             if fix.valid:
                 self._see(navigation, fix)
         return standing
 
-    def _count(self, reading: Odometry) -> float | None:
+    def _count(self, reading: Odometry) -> float:
         """How far the wheels have turned since the last reading, m."""
         assert self._navigation is not None
         turned = self._navigation.wheels.turned(reading)
         if turned is None:
-            return None
+            return 0.0
         self._standstill.wheels(reading.stamp_ns, turned[0])
         self._wheels_ns = reading.stamp_ns
         return abs(turned[1])
