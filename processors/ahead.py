@@ -12,7 +12,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.kernels import Array
 from tramstream.localisation import VALUES
-from tramstream.processors import tram_frames as frames
+from tramstream.processors import ahead_kernels
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_filter import TramFilter
 from tramstream.proto.sync_pb2 import ImuMean
@@ -29,7 +29,7 @@ class Ahead:
     def __init__(self, vehicle: Vehicle) -> None:
         mounting = vehicle.imu.mounting_deg if vehicle.imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._readings = np.zeros((CAPACITY, 11))
+        self._readings = np.zeros((CAPACITY, ahead_kernels.READING))
         self._stamps_ns: list[int] = []
         self._begin = 0  # the first that the filter has not seen
         self._inputs = np.zeros((4, 10))
@@ -54,7 +54,9 @@ class Ahead:
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))
         index = len(self._stamps_ns)
-        frames.keep(self._readings, index, self._inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt)
+        ahead_kernels.keep(
+            self._readings, index, self._inputs, self._C_vb, gx, gy, gz, ax, ay, az, dt
+        )
         self._last_ns = stamp_ns
         self._stamps_ns.append(stamp_ns)
 
@@ -75,7 +77,7 @@ class Ahead:
             begin += 1
         self._begin = begin
         values = np.empty(VALUES)
-        frames.say_ahead(
+        ahead_kernels.say_ahead(
             ekf.memory, self._memory, ekf.parameters, self._readings, begin, count, values
         )
         return values

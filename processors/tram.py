@@ -110,14 +110,15 @@ class TramLocaliser:
             verdicts = navigation.run(frame, standing, noise)
         else:
             verdicts = self._seek(navigation, frame, standing)
-        self._wake(navigation, frame, standing)
+        if self._parked is not None:
+            self._wake(self._parked, navigation, frame, standing)
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
         if navigation.fixes.hopeless:
             self._begin_again("the position was taken from the fixes again and again")
             return None
-        if self._began_elsewhere():
+        if self._far_ns[0] and self._began_elsewhere():
             self._begin_again("fixes stay far away from where the ride began")
             return None
         self._last = self._estimate(navigation, standing, verdicts)
@@ -244,15 +245,17 @@ class TramLocaliser:
             navigation.unface()
             self._place_again(navigation)
 
-    def _wake(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> None:
+    def _wake(
+        self, parked: Parked, navigation: Navigation, frame: SyncFrame, standing: bool
+    ) -> None:
         """Find out whether a parked vehicle stands there yet."""
-        if self._parked is None or self._heard_ns != frame.stamp_ns:
+        if self._heard_ns != frame.stamp_ns:
             return
-        moved = self._parked.moved(frame.odometry, frame.gnss, navigation, standing)
+        moved = parked.moved(frame.odometry, frame.gnss, navigation, standing)
         if moved is None and (standing or not self._aligned):
             return
         if moved is False:
-            self._parked.take_up(navigation, frame.stamp_ns)
+            parked.take_up(navigation, frame.stamp_ns)
             self._aligned, self._search = True, None
         self._parked = None
 
@@ -311,7 +314,7 @@ class TramLocaliser:
         if not self._aligned:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
         values = self._ahead.predict(navigation.ekf, self._stamp_ns)
-        return Estimate(stamp_ns, last.mode, values, last.standing)
+        return Estimate(stamp_ns, last.mode, values, last.standing, [])
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation

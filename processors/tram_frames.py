@@ -124,27 +124,6 @@ def origin(m: Array, share: float, motion: Array, covariance: Array) -> None:
 
 
 @compiled
-def keep(
-    readings: Array,
-    index: int,
-    inputs: Array,
-    C_vb: Array,
-    gx: float,
-    gy: float,
-    gz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    dt: float,
-) -> None:
-    """Read as `read` does, and put what acts since the reading before, and how long, in a row."""
-    read(inputs, C_vb, gx, gy, gz, ax, ay, az, dt)
-    for k in range(10):
-        readings[index, k] = inputs[2, k]
-    readings[index, 10] = dt
-
-
-@compiled
 def say(m: Array, c: Array, facing: bool, values: Array) -> None:
     """Fill the values of an estimate (`tramstream.localisation`) out of the filter's memory.
 
@@ -156,12 +135,3 @@ def say(m: Array, c: Array, facing: bool, values: Array) -> None:
     share = c[Pm.CLOCK_SHARE] if facing else 0.0
     origin(m, share, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
     values[ACCELERATION], values[YAW_RATE] = m[kernels.ACCELERATION], m[kernels.YAW_RATE]
-
-
-@compiled
-def say_ahead(
-    m: Array, to: Array, c: Array, readings: Array, begin: int, end: int, values: Array
-) -> None:
-    """The same of what `ahead_of` makes of it; the heading is known."""
-    kernels.ahead_of(m, to, c, readings, begin, end)
-    say(to, c, True, values)

@@ -55,19 +55,9 @@ SEEN = slice(_SEEN, TAKEN)
 """Innovation, S (negative: refused) and the number of entries of H, scalar by scalar."""
 
 
-STRIDE = 5
-"""Readings that `ahead_of` takes together."""
-
-
 def slots(*names: Ix) -> Indices:
     """Columns of a row of H."""
     return np.array([int(slot) for slot in names], dtype=np.int64)
-
-
-_LEADING = slots(*list(Ix)[: Ix.YAW + 1], Ix.GNSS_DELAY, Ix.PIVOT)
-"""What is published, and what that is found with."""
-_LEADING_ENTRIES = np.flatnonzero(ROWS <= Ix.YAW)
-assert not np.isin(ROWS, [Ix.GNSS_DELAY, Ix.PIVOT]).any()
 
 
 @compiled
@@ -335,76 +325,3 @@ def rest(m: Array, c: Array, dt: float) -> None:
     P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] += c[Pm.GNSS_DENSITY] * dt
     P[Ix.GNSS_UP, Ix.GNSS_UP] += c[Pm.GNSS_UP_DENSITY] * dt
     m[ACCELERATION] = m[YAW_RATE] = 0.0
-
-
-@compiled
-def ahead_of(m: Array, to: Array, c: Array, readings: Array, begin: int, end: int) -> None:
-    """Predict what `m` says of the motion through the readings from `begin` to `end`.
-
-    The state goes step by step, the covariance in one step.
-
-    Parameters
-    ----------
-    to : ndarray
-        Another memory: gets the state and, of the covariance, the rows and columns `_LEADING`;
-        nothing else in it means anything.
-    readings : ndarray, shape (≥ end, 11)
-        What acts in each step, see `move`, and how long it is, s.
-    """
-    x, P = to[STATE], to[COVARIANCE].reshape((SIZE, SIZE))
-    for k in range(SIZE):
-        x[k] = m[k]
-    to[ACCELERATION], to[YAW_RATE] = m[ACCELERATION], m[YAW_RATE]
-    before = m[COVARIANCE].reshape((SIZE, SIZE))
-    if end <= begin:
-        for i in _LEADING:
-            for j in _LEADING:
-                P[i, j] = before[i, j]
-        return
-    u = to[GAIN][:10]
-    total = 0.0
-    k = begin
-    while k < end:
-        # Five readings at a time: over 50 ms the midpoint rule is good to a tenth of a millimetre.
-        last = min(k + STRIDE, end)
-        for i in range(10):
-            u[i] = 0.0
-        dt = 0.0
-        for j in range(k, last):
-            duration = readings[j, 10]
-            dt += duration
-            for i in range(10):
-                u[i] += readings[j, i] * duration
-        if dt > 0.0:
-            for i in range(10):
-                u[i] /= dt
-            to[ACCELERATION], to[YAW_RATE] = move(x, c, u, dt)
-        total += dt
-        k = last
-    transition(m[STATE], c, readings[end - 1], total, to[ENTRY_VALUES])
-    _lead_covariance(before, P, to[ENTRY_VALUES], to[SCRATCH].reshape((SIZE, SIZE)))
-    add_noise(x, P, c, total)
-
-
-@compiled
-def _lead_covariance(before: Array, P: Array, values: Array, work: Array) -> None:
-    """What `predict_covariance` makes of `before`, in the rows and columns `_LEADING` of `P`."""
-    count = _LEADING.shape[0]
-    for r in range(count):
-        for j in range(SIZE):
-            work[r, j] = before[_LEADING[r], j]
-    for k in _LEADING_ENTRIES:  # their rows are the first of those
-        i, j, a = ROWS[k], COLUMNS[k], values[k]
-        for n in range(SIZE):
-            work[i, n] += a * before[j, n]
-    for i in _LEADING:
-        for r in range(count):
-            P[i, _LEADING[r]] = work[r, i]
-    for k in _LEADING_ENTRIES:
-        i, j, a = ROWS[k], COLUMNS[k], values[k]
-        for r in range(count):
-            P[i, _LEADING[r]] += a * work[r, j]
-    for r in range(count):
-        for s in range(r):
-            i, j = _LEADING[r], _LEADING[s]
-            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])

@@ -145,7 +145,8 @@ class Navigation:
             if pause:
                 self._blind.bridge(self.ekf.parameters, dt)
             else:
-                self._blind.end(self.ekf.parameters)
+                if self._blind.active:
+                    self._blind.end(self.ekf.parameters)
                 if self._aliasing:
                     self._shaken()
         self._read_ns = mean.stamp_ns

@@ -134,12 +134,12 @@ class Places:
             heading is not known, those are the greatest of any direction.
         """
         any_heading = estimate.mode == HEADING_UNKNOWN
-        given = self._constants, estimate.values, quantile, any_heading, self._encoded
-        found = _describe(*given)
+        constants, encoded = self._constants, self._encoded
+        found = _describe(constants, estimate.values, quantile, any_heading, encoded)
         if found == AWAY:
             self._move(*estimate.p_l)
-            found = _describe(*given)
-        return MotionState.FromString(self._encoded.tobytes()) if found == DESCRIBED else None
+            found = _describe(constants, estimate.values, quantile, any_heading, encoded)
+        return MotionState.FromString(encoded.tobytes()) if found == DESCRIBED else None
 
     def snapshot(self) -> list[float]:
         """Where the last exact conversion was: from it all others follow to the last digit."""
