@@ -19,7 +19,6 @@ exception on, and one that is killed closes its pipes; either ends all.
 from __future__ import annotations
 
 import fcntl
-import gc
 import multiprocessing
 import os
 import signal
@@ -45,9 +44,6 @@ GATHERED = 128
 PIPE_BYTES = 1 << 20
 """What a pipe holds, so that nobody waits for a neighbour who is a few seconds of the ride behind;
 without privileges Linux allows no more."""
-COLLECTED = 100_000
-"""Containers between two searches for garbage. There is next to none: nothing in a step refers to
-itself; and Python's 700 would cost a twelfth of it."""
 JOIN_S = 10.0
 KILLED = "the process that {} was killed; is there enough memory?"
 READING, FOLLOWING = "read the record", "ran the filter"
@@ -317,8 +313,6 @@ def _fork(work: Callable[[], None], *others: Connection) -> ForkProcess:
     """Start `work` in a process that does not hold the ends of pipes that are `others`'."""
 
     def begin() -> None:
-        gc.freeze()
-        gc.set_threshold(COLLECTED)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipes' end tells this process to end
         for each in others:
             each.close()
