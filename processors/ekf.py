@@ -34,6 +34,7 @@ MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
 LOG = keys.LOG.at("ekf")
+_KNOWN = LocationFix.PositionCovarianceType.KNOWN
 
 
 class LocalisationFilter(Processor):
@@ -202,5 +203,5 @@ def _location(state: MotionState) -> LocationFix:
         longitude=state.longitude_deg,
         altitude=state.height_ellipsoid_m,
         position_covariance=(ee, en, eu, en, nn, nu, eu, nu, uu),
-        position_covariance_type=LocationFix.PositionCovarianceType.KNOWN,
+        position_covariance_type=_KNOWN,
     )
