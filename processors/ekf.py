@@ -60,13 +60,16 @@ class LocalisationFilter(Processor):
         self._ended: list[Trace] = []  # of filters before this one, where it is traced
 
     def step(self, sample: Sample) -> list[Sample]:
-        return self._take(sample) + self._now(sample.message)
+        made = self._take(sample)
+        made += self._now(sample.message)
+        return made
 
     def _now(self, frame: SyncFrame) -> list[Sample]:
         """Go on to the newest mean that there was when the frame was released."""
-        for mean in frame.ahead:
+        means = frame.ahead
+        for mean in means:
             self.localiser.see(mean)
-        estimate = self.localiser.ahead() if frame.ahead else None
+        estimate = self.localiser.ahead() if means else None
         message = self._message(estimate, self._here()) if estimate is not None else None
         if estimate is None or message is None:
             return []
@@ -85,8 +88,9 @@ class LocalisationFilter(Processor):
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
             else:
                 made += self._start_again(sample.stamp_ns)
-        if sample.stamp_ns // S != self._second:
-            self._second = sample.stamp_ns // S
+        second = sample.stamp_ns // S
+        if second != self._second:
+            self._second = second
             made += self._learned(sample.stamp_ns)
         for sentence in self.localiser.complaints():
             made += self._say(sentence, sample.stamp_ns)
@@ -126,11 +130,11 @@ class LocalisationFilter(Processor):
         return [self.emit(LOG, log, stamp_ns)]
 
     def _here(self) -> Places:
-        level = self.localiser.level
+        level, places = self.localiser.level, self._places
         assert level is not None  # there is an estimate
-        if self._places is None or self._places.level is not level:
-            self._places = Places(level)
-        return self._places
+        if places is None or places.level is not level:
+            places = self._places = Places(level)
+        return places
 
     def _message(self, estimate: Estimate, places: Places) -> MotionState | None:
         """The state as it is published; None if it is no number."""

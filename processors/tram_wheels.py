@@ -78,6 +78,9 @@ class Wheel:
     down: int = 0  # readings in a row in which it has
 
 
+_SIGN = int(Pm.SIGN_A)
+
+
 class WheelPair:
     """The one or two wheels that the filter has states for."""
 
@@ -261,15 +264,16 @@ class WheelPair:
 
     def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
-        c, slot = ekf.parameters, Pm.SIGN_A + wheel.slot
+        slot = _SIGN + wheel.slot
+        before = float(ekf.parameters[slot])
         if wheel.signed:
             sign = 1.0
-        elif way * c[slot] * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
-            sign = -c[slot]
+        elif way * before * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
+            sign = -before
         else:
             return
-        if sign != c[slot]:
-            c[slot] = sign
+        if sign != before:
+            ekf.parameters[slot] = sign
             ekf.tie(wheel.slot, self._m_per_pulse**2)
 
     def _slip(
