@@ -10,6 +10,8 @@ from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.kernels import Array
+from tramstream.localisation import VALUES
+from tramstream.processors import ahead_kernels
 from tramstream.processors import tram_frames as frames
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_filter import TramFilter
@@ -27,11 +29,10 @@ class Ahead:
     def __init__(self, vehicle: Vehicle) -> None:
         mounting = vehicle.imu.mounting_deg if vehicle.imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._inputs = np.zeros((CAPACITY, 10))
-        self._durations = np.zeros(CAPACITY)
+        self._readings = np.zeros((CAPACITY, ahead_kernels.READING))
         self._stamps_ns: list[int] = []
         self._begin = 0  # the first that the filter has not seen
-        self._reading = np.zeros((4, 10))
+        self._inputs = np.zeros((4, 10))
         self._last_ns = 0
         self._memory = np.zeros(kernels.MEMORY)
 
@@ -42,62 +43,57 @@ class Ahead:
 
     def append(self, mean: ImuMean) -> None:
         """Take a mean, unless there is a newer one already, or it cannot be."""
-        dt = (mean.stamp_ns - self._last_ns) / S
+        stamp_ns = mean.stamp_ns
+        dt = (stamp_ns - self._last_ns) / S
         readings = frames.readings(mean)
         if readings is None or dt <= 0.0:
             return
         if dt > MAX_STEP_S:
             dt = 0.0
-        frames.read(self._reading, self._C_vb, *readings, dt)
-        self._last_ns = mean.stamp_ns
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))
         index = len(self._stamps_ns)
-        self._inputs[index] = self._reading[2]
-        self._durations[index] = dt
-        self._stamps_ns.append(mean.stamp_ns)
+        ahead_kernels.keep(self._readings, index, self._inputs, self._C_vb, *readings, dt)
+        self._last_ns = stamp_ns
+        self._stamps_ns.append(stamp_ns)
 
     def _drop(self, count: int) -> None:
         kept = len(self._stamps_ns) - count
-        self._inputs[:kept] = self._inputs[count : count + kept].copy()
-        self._durations[:kept] = self._durations[count : count + kept].copy()
+        self._readings[:kept] = self._readings[count : count + kept].copy()
         del self._stamps_ns[:count]
         self._begin = max(0, self._begin - count)
 
     def predict(self, ekf: TramFilter, horizon_ns: int) -> Array:
-        """Memory of the filter (`tram_kernels`) as it would be at the newest mean."""
+        """Values of an estimate (`tramstream.localisation`) at the newest mean.
+
+        The filter is at `horizon_ns` and knows its heading.
+        """
         stamps, begin = self._stamps_ns, self._begin
         count = len(stamps)
         while begin < count and stamps[begin] <= horizon_ns:
             begin += 1
         self._begin = begin
-        kernels.ahead_of(
-            ekf.memory,
-            self._memory,
-            ekf.parameters,
-            self._inputs,
-            self._durations,
-            begin,
-            count,
+        values = np.empty(VALUES)
+        ahead_kernels.say_ahead(
+            ekf.memory, self._memory, ekf.parameters, self._readings, begin, count, values
         )
-        return self._memory
+        return values
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        count = len(self._stamps_ns)
+        kept = self._readings[: len(self._stamps_ns)]
         return {
-            "inputs": self._inputs[:count].copy(),
-            "durations": self._durations[:count].copy(),
+            "inputs": kept[:, :10].copy(),
+            "durations": kept[:, 10].copy(),
             "stamps_ns": list(self._stamps_ns),
             "begin": self._begin,
-            "reading": self._reading.copy(),
+            "reading": self._inputs.copy(),
             "last_ns": self._last_ns,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         self._stamps_ns, self._begin = list(state["stamps_ns"]), state["begin"]
-        count = len(self._stamps_ns)
-        self._inputs[:count] = state["inputs"]
-        self._durations[:count] = state["durations"]
-        self._reading = np.array(state["reading"])
+        kept = self._readings[: len(self._stamps_ns)]
+        kept[:, :10], kept[:, 10] = state["inputs"], state["durations"]
+        self._inputs = np.array(state["reading"])
         self._last_ns = state["last_ns"]

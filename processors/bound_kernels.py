@@ -100,11 +100,11 @@ def recursion(
 @compiled
 def _roll(m: Array, c: Array, wheels: Array, variances: Variances, truth: Array) -> None:
     """Take the paths of the wheels; one that has slipped is counted anew."""
-    x, out = m[kernels.STATE], np.zeros(2)
+    x = m[kernels.STATE]
     variance = variances.pulse + variances.wheel_stamp * truth[Ix.SPEED] ** 2
     for wheel in range(len(wheels)):
         if wheels[wheel] == READ:
-            measurements.path(m, c, wheel, 0.0, variance, math.inf, out)
+            measurements.path(m, c, wheel, 0.0, variance, math.inf)
         elif wheels[wheel] == SLIPPED:
             measurements.tie(m, c, wheel, variance)
         x[:] = truth

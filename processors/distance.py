@@ -100,7 +100,7 @@ class DistanceFilter(Processor):
                 found = self._take_wheels(measurement)
             else:
                 found = self._take_fix(measurement)
-            if any([innovation.accepted for innovation in found]):
+            if any(innovation.accepted for innovation in found):
                 self._ledger.delivered += 1
             else:
                 self._ledger.dropped += 1

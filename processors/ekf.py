@@ -14,17 +14,16 @@ from statistics import NormalDist
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import keys, place
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.kernels import sound
-from tramstream.localisation import HEADING_UNKNOWN, Estimate, Localiser
+from tramstream.localisation import Estimate, Localiser
 from tramstream.place import Places
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.models import localiser, traced
 from tramstream.processors.tram_smoother import smooth
 from tramstream.processors.tram_trace import Trace, TracedLocaliser
-from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
+from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
 LOCATION_EVERY = 10
@@ -35,6 +34,7 @@ MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
 LOG = keys.LOG.at("ekf")
+_KNOWN = LocationFix.PositionCovarianceType.KNOWN
 
 
 class LocalisationFilter(Processor):
@@ -61,17 +61,22 @@ class LocalisationFilter(Processor):
         self._ended: list[Trace] = []  # of filters before this one, where it is traced
 
     def step(self, sample: Sample) -> list[Sample]:
-        return self._take(sample) + self._now(sample.message)
+        made = self._take(sample)
+        made += self._now(sample.message)
+        return made
 
     def _now(self, frame: SyncFrame) -> list[Sample]:
         """Go on to the newest mean that there was when the frame was released."""
-        for mean in frame.ahead:
+        means = frame.ahead
+        for mean in means:
             self.localiser.see(mean)
-        estimate = self.localiser.ahead() if frame.ahead else None
-        if estimate is None or estimate.stamp_ns == self._now_ns or not _finite(estimate):
+        estimate = self.localiser.ahead() if means else None
+        if estimate is None or estimate.stamp_ns == self._now_ns:
+            return []
+        message = self._message(estimate, self._here())
+        if message is None:
             return []
         self._now_ns = estimate.stamp_ns
-        message = self._message(estimate, self._here())
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if self._now_count % LOCATION_EVERY == 0:
             made.append(self.emit(keys.EST_LOCATION, _location(message), estimate.stamp_ns))
@@ -82,13 +87,14 @@ class LocalisationFilter(Processor):
         estimate = self.localiser.take(sample.message)
         made = []
         if estimate is not None:
-            if _finite(estimate):
-                message = self._message(estimate, self._here())
+            message = self._message(estimate, self._here())
+            if message is not None:
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
             else:
                 made += self._start_again(sample.stamp_ns)
-        if sample.stamp_ns // S != self._second:
-            self._second = sample.stamp_ns // S
+        second = sample.stamp_ns // S
+        if second != self._second:
+            self._second = second
             made += self._learned(sample.stamp_ns)
         for sentence in self.localiser.complaints():
             made += self._say(sentence, sample.stamp_ns)
@@ -128,43 +134,24 @@ class LocalisationFilter(Processor):
         return [self.emit(LOG, log, stamp_ns)]
 
     def _here(self) -> Places:
-        level = self.localiser.level
+        level, places = self.localiser.level, self._places
         assert level is not None  # there is an estimate
-        if self._places is None or self._places.level is not level:
-            self._places = Places(level)
-        return self._places
+        if places is None or places.level is not level:
+            places = self._places = Places(level)
+        return places
 
-    def _message(self, estimate: Estimate, places: Places) -> MotionState:
-        said = places.describe(estimate.motion, estimate.covariance)
-        along, across = said[place.ALONG], said[place.ACROSS]
-        mode = estimate.mode
-        if mode == HEADING_UNKNOWN:
-            along = across = said[place.WORST]
-        return MotionState(
-            mode=mode,
-            latitude_deg=said[0],
-            longitude_deg=said[1],
-            height_ellipsoid_m=said[2],
-            speed_mps=estimate.speed_mps,
-            acceleration_mps2=estimate.acceleration_mps2,
-            roll_rad=said[3],
-            pitch_rad=said[4],
-            yaw_rad=said[5],
-            yaw_rate_radps=estimate.yaw_rate_radps,
-            standing=estimate.standing,
-            along_std_m=along,
-            across_std_m=across,
-            up_std_m=said[8],
-            speed_std_mps=said[9],
-            yaw_std_rad=said[10],
-            protection_along_m=self._quantile * along,
-            protection_across_m=self._quantile * across,
-            covariance=said[place.COVARIANCE :],
-            innovations=[
-                Innovation(measurement=name, value=value, variance=variance, accepted=accepted)
-                for name, value, variance, accepted in estimate.verdicts
-            ],
-        )
+    def _message(self, estimate: Estimate, places: Places) -> MotionState | None:
+        """The state as it is published; None if it is no number."""
+        message = places.describe(estimate, self._quantile)
+        if message is None:
+            return None
+        message.mode = estimate.mode
+        message.standing = estimate.standing
+        for name, value, variance, accepted in estimate.verdicts:
+            message.innovations.add(
+                measurement=name, value=value, variance=variance, accepted=accepted
+            )
+        return message
 
     # The whole ride known ------------------------------------------------------------------------
     def keep(self) -> None:
@@ -183,9 +170,9 @@ class LocalisationFilter(Processor):
         for trace in self._traces():
             places = Places(trace.level)
             for estimate in smooth(trace).estimates():
-                if estimate.stamp_ns > last_ns and _finite(estimate):
+                message = self._message(estimate, places)
+                if estimate.stamp_ns > last_ns and message is not None:
                     last_ns = estimate.stamp_ns
-                    message = self._message(estimate, places)
                     yield self.emit(keys.EST_SMOOTHED, message, last_ns)
 
     def _traces(self) -> list[Trace]:
@@ -216,11 +203,6 @@ class LocalisationFilter(Processor):
             self._places.restore(state["places"])
 
 
-def _finite(estimate: Estimate) -> bool:
-    """Whether everything is a number and no variance is negative."""
-    return bool(sound(estimate.motion, estimate.covariance))
-
-
 def _location(state: MotionState) -> LocationFix:
     """Give a state as viewers know it; covariance of east, north and up."""
     (ee, en, eu, _, _, _, _, nn, nu, _, _, _, _, uu) = state.covariance[:14]
@@ -230,5 +212,5 @@ def _location(state: MotionState) -> LocationFix:
         longitude=state.longitude_deg,
         altitude=state.height_ellipsoid_m,
         position_covariance=(ee, en, eu, en, nn, nu, eu, nu, uu),
-        position_covariance_type=LocationFix.PositionCovarianceType.KNOWN,
+        position_covariance_type=_KNOWN,
     )

@@ -28,7 +28,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.localisation import Array, Estimate, Learned, Verdict
+from tramstream.localisation import Array, Estimate, Learned, Verdict, values_of
 from tramstream.processor import State
 from tramstream.processors import kaspar2023_model as model
 from tramstream.processors.kaspar2023_ahead import Ahead
@@ -292,11 +292,13 @@ class Kaspar2023Localiser:
         return Estimate(
             stamp_ns=stamp_ns,
             mode=mode,
-            motion=np.array([*p_l, speed, x[Ix.ROLL], x[Ix.PITCH], x[Ix.YAW]]),
-            acceleration_mps2=x[Ix.ACCELERATION],
-            yaw_rate_radps=x[Ix.RATE_Z],
+            values=values_of(
+                (*p_l, speed, x[Ix.ROLL], x[Ix.PITCH], x[Ix.YAW]),
+                covariance,
+                x[Ix.ACCELERATION],
+                x[Ix.RATE_Z],
+            ),
             standing=abs(speed) < STANDING_MPS,
-            covariance=covariance,
             verdicts=verdicts,
         )
 

@@ -39,6 +39,7 @@ LEARNING_S = 20.0
 SEPARATION = 2.0
 """The shaking must differ by this factor between running and standing to be of use."""
 RUNNING_MPS = 2.0
+_SEPARATION = math.log(SEPARATION)
 PUSH_MPS2 = 0.12
 """Change of the mean specific force along the track that sets a vehicle going: without wheels the
 first thing to be seen."""
@@ -49,13 +50,62 @@ shaking is still that of standing."""
 GNSS_AGE_S = 2.5
 
 
+_FORCE, _STILL, _RUNNING = range(3)
+"""Of what is learned: specific force along the track while standing; log of the shaking while
+standing, while running (0: not known)."""
+
+
 @compiled
-def smooth(statistics: Array, u: Array, weight: float) -> None:
-    """Follow mean and variance of a reading: rows of `statistics`, shape (2, 6)."""
+def follow(
+    statistics: Array,
+    learned: Array,
+    u: Array,
+    dt_s: float,
+    standing: bool,
+    known: bool,
+    ground_mps: float,
+    speed_mps: float,
+    bias_z: float,
+) -> bool:
+    """Take a reading: whether it could be that of a vehicle that stands.
+
+    Parameters
+    ----------
+    statistics : ndarray, shape (2, 6)
+        Mean and variance of the readings.
+    learned : ndarray, shape (3,)
+    standing : bool
+        What the vehicle did until now.
+    known : bool
+        Whether the speed over ground is.
+    """
+    weight = min(1.0, dt_s / SMOOTHING_S)
     for k in range(6):
         before = u[k] - statistics[0, k]
         statistics[0, k] += weight * before
         statistics[1, k] += weight * (before * (u[k] - statistics[0, k]) - statistics[1, k])
+    level = 0.5 * math.log(statistics[1, 3] + statistics[1, 4] + statistics[1, 5] + 1e-12)
+    force = statistics[0, 3]
+    slow = ground_mps if known else abs(speed_mps)
+    if known and ground_mps > RUNNING_MPS:
+        learned[_RUNNING] = _blend(learned[_RUNNING], level, dt_s / LEARNING_S)
+    if standing and slow < CREEP_MPS:
+        learned[_STILL] = _blend(learned[_STILL], level, dt_s / LEARNING_S)
+    pushed = standing and abs(force - learned[_FORCE]) > PUSH_MPS2
+    learned[_FORCE] += dt_s / SETTLING_S * (force - learned[_FORCE])
+    if pushed or slow > (2.0 * CREEP_MPS if known else RUNNING_MPS):
+        return False
+    if abs(statistics[0, 2] - bias_z) > STEADY_RADPS:
+        return False
+    still, running = learned[_STILL], learned[_RUNNING]
+    if still != 0.0 and running != 0.0 and running - still > _SEPARATION:
+        return bool(level < 0.5 * (still + running))
+    return bool(slow < CREEP_MPS)
+
+
+@compiled
+def _blend(before: float, value: float, weight: float) -> float:
+    return value + (before - value) * (1.0 - weight) if before != 0.0 else value
 
 
 class Standstill:
@@ -66,17 +116,15 @@ class Standstill:
         self.since_ns = 0
         """Start of the present state."""
         self._statistics = np.zeros((2, 6))
+        self._learned = np.zeros(3)
         self._started = False
         self._last_ns = 0  # inertial reading
         self._wheel_ns = 0  # last reading of the wheels
         self._turned_ns = 0  # last reading with a turn
         self._quiet_ns = 0  # since when the inertial sensor agrees
-        self._still_force = 0.0  # along the track, while standing
         self._gnss_mps = math.inf
         self._gnss_ns = 0
         self._fast_ns = 0  # since when that has been fast
-        self._still_level = 0.0  # log of the shaking while standing, while running; 0: not known
-        self._running_level = 0.0
 
     @property
     def noise(self) -> Array:
@@ -106,7 +154,7 @@ class Standstill:
         u: Array | None,
         dt_s: float,
         speed_mps: float,
-        speed_std_mps: float,
+        speed_variance: float,
         bias_z: float,
     ) -> bool:
         """Decide for the instant `stamp_ns`.
@@ -126,24 +174,25 @@ class Standstill:
             self._last_ns = stamp_ns
             self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
         if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
-            standing = self._by_wheels(stamp_ns, speed_mps, speed_std_mps)
+            standing = self._by_wheels(stamp_ns, speed_mps, speed_variance)
         else:
             standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
             if standing and not self.standing and self.since_ns:
                 standing = stamp_ns - self.since_ns > RUN_S * S
         if standing != self.standing:
             self.standing, self.since_ns = standing, stamp_ns
-            self._still_force = float(self._statistics[0, 3])
+            self._learned[_FORCE] = self._statistics[0, 3]
         return standing
 
-    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_std_mps: float) -> bool:
+    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_variance: float) -> bool:
         if stamp_ns - self._turned_ns < WHEELS_STILL_S * S:
             return False
         fast = self._gnss_ns - self._fast_ns > FAST_S * S
         if fast and stamp_ns - self._gnss_ns < GNSS_AGE_S * S:
             return False
+        std_mps = math.sqrt(max(speed_variance, 0.0))
         # NaN: not known, so it stands.
-        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * speed_std_mps
+        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * std_mps
 
     def _follow(
         self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
@@ -151,40 +200,28 @@ class Standstill:
         if not self._started:
             self._statistics[0] = u[:6]
             self._started, self._quiet_ns = True, stamp_ns
-            self._still_force = float(u[3])
-        smooth(self._statistics, u, min(1.0, dt_s / SMOOTHING_S))
-        (_, _, rate, force, _, _), (_, _, _, x, y, z) = self._statistics.tolist()
-        level = 0.5 * math.log(x + y + z + 1e-12)
+            self._learned[_FORCE] = u[3]
         known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
-        slow = self._gnss_mps if known else abs(speed_mps)
-        weight = dt_s / LEARNING_S
-        if known and self._gnss_mps > RUNNING_MPS:
-            self._running_level = _blend(self._running_level, level, weight)
-        if self.standing and slow < CREEP_MPS:
-            self._still_level = _blend(self._still_level, level, weight)
-        pushed = self.standing and abs(force - self._still_force) > PUSH_MPS2
-        self._still_force += dt_s / SETTLING_S * (force - self._still_force)
-        limit = 2.0 * CREEP_MPS if known else RUNNING_MPS
-        if pushed or slow > limit or not self._quiet(level, rate - bias_z, slow):
+        if not follow(
+            self._statistics,
+            self._learned,
+            u,
+            dt_s,
+            self.standing,
+            known,
+            self._gnss_mps,
+            speed_mps,
+            bias_z,
+        ):
             self._quiet_ns = stamp_ns
-
-    def _quiet(self, level: float, rate: float, slow: float) -> bool:
-        """Whether the inertial sensor could be that of a vehicle that stands."""
-        if abs(rate) > STEADY_RADPS:
-            return False
-        still, running = self._still_level, self._running_level
-        if still and running and running - still > math.log(SEPARATION):
-            return level < 0.5 * (still + running)
-        return slow < CREEP_MPS
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        return {name: np.copy(v) if name == "_statistics" else v for name, v in vars(self).items()}
+        return {name: np.copy(v) if name in _ARRAYS else v for name, v in vars(self).items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
-            setattr(self, name, np.array(value) if name == "_statistics" else value)
+            setattr(self, name, np.array(value) if name in _ARRAYS else value)
 
 
-def _blend(before: float, value: float, weight: float) -> float:
-    return value + (before - value) * (1.0 - weight) if before else value
+_ARRAYS = ("_statistics", "_learned")

@@ -25,12 +25,18 @@ from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.processor import State
 from tramstream.processors.ahead import Ahead
 from tramstream.processors.standstill import Standstill
-from tramstream.processors.tram_estimate import at_fix, estimate_of, plain, without_heading
+from tramstream.processors.tram_estimate import (
+    at_fix,
+    estimate_of,
+    from_plain,
+    plain,
+    without_heading,
+)
 from tramstream.processors.tram_fixes import antenna_l, doubts, unusable, velocity
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
 from tramstream.processors.tram_search import Search
-from tramstream.processors.tram_states import SIZE, UNITS, Ix, Pm
+from tramstream.processors.tram_states import SIZE, UNITS, Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -84,13 +90,15 @@ class TramLocaliser:
 
     # One frame -----------------------------------------------------------------------------------
     def take(self, frame: SyncFrame) -> Estimate | None:
-        if frame.stamp_ns <= self._stamp_ns and not self._set_back(frame.stamp_ns):
+        stamp_ns = frame.stamp_ns
+        if stamp_ns <= self._stamp_ns and not self._set_back(stamp_ns):
             return None
-        gap_s = (frame.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
-        self._stamp_ns = frame.stamp_ns
+        gap_s = (stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        self._stamp_ns = stamp_ns
         navigation = self._navigation
-        slipping_s = navigation.wheels.slipping_s(frame.stamp_ns) if navigation else 0.0
-        self._complaints += self._silence.step(frame, slipping_s)
+        if self._silence.see(frame):
+            slipping_s = navigation.wheels.slipping_s(self._stamp_ns) if navigation else 0.0
+            self._complaints += self._silence.sentences(self._stamp_ns, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
@@ -102,13 +110,15 @@ class TramLocaliser:
             verdicts = navigation.run(frame, standing, noise)
         else:
             verdicts = self._seek(navigation, frame, standing)
-        self._wake(navigation, frame, standing)
-        self._complaints += navigation.complaints
-        navigation.complaints.clear()
+        if self._parked is not None:
+            self._wake(self._parked, navigation, frame, standing)
+        if navigation.complaints:
+            self._complaints += navigation.complaints
+            navigation.complaints.clear()
         if navigation.fixes.hopeless:
             self._begin_again("the position was taken from the fixes again and again")
             return None
-        if self._began_elsewhere():
+        if self._far_ns[0] and self._began_elsewhere():
             self._begin_again("fixes stay far away from where the ride began")
             return None
         self._last = self._estimate(navigation, standing, verdicts)
@@ -134,31 +144,27 @@ class TramLocaliser:
         """Read the sensors and tell whether the vehicle stands."""
         self._inertial = navigation.read(frame)
         standstill = self._standstill
-        counted = [way for way in map(self._count, frame.odometry) if way is not None]
-        x = navigation.ekf.memory
-        speed, speed_std = math.nan, 0.0
-        if self._aligned:
-            speed = float(x[Ix.SPEED])
-            speed_std = math.sqrt(max(float(navigation.ekf.P[Ix.SPEED, Ix.SPEED]), 0.0))
+        counted_m = 0.0
+        for reading in frame.odometry:
+            counted_m += self._count(reading)
+        ekf, stamp_ns = navigation.ekf, self._stamp_ns
+        speed, variance = (ekf.speed, ekf.speed_variance) if self._aligned else (math.nan, 0.0)
         u = navigation.inputs[1] if self._inertial else None
-        standing = standstill.step(
-            frame.stamp_ns, u, min(gap_s, 0.1), speed, speed_std, float(x[Ix.GYRO_Z])
-        )
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, ekf.gyro_bias_z)
         if not standing:
-            heard = frame.stamp_ns - self._wheels_ns < HEARD_S * S
-            unseen_m = UNSEEN_MPS * gap_s
-            self._way_m += sum(counted) if heard else unseen_m
+            heard = stamp_ns - self._wheels_ns < HEARD_S * S
+            self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
         for fix in frame.gnss:
             if fix.valid:
                 self._see(navigation, fix)
         return standing
 
-    def _count(self, reading: Odometry) -> float | None:
+    def _count(self, reading: Odometry) -> float:
         """How far the wheels have turned since the last reading, m."""
         assert self._navigation is not None
         turned = self._navigation.wheels.turned(reading)
         if turned is None:
-            return None
+            return 0.0
         self._standstill.wheels(reading.stamp_ns, turned[0])
         self._wheels_ns = reading.stamp_ns
         return abs(turned[1])
@@ -251,15 +257,17 @@ class TramLocaliser:
             navigation.unface()
             self._lose(navigation)
 
-    def _wake(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> None:
+    def _wake(
+        self, parked: Parked, navigation: Navigation, frame: SyncFrame, standing: bool
+    ) -> None:
         """Find out whether a parked vehicle stands there yet."""
-        if self._parked is None or self._heard_ns != frame.stamp_ns:
+        if self._heard_ns != frame.stamp_ns:
             return
-        moved = self._parked.moved(frame.odometry, frame.gnss, navigation, standing)
+        moved = parked.moved(frame.odometry, frame.gnss, navigation, standing)
         if moved is None and (standing or not self._aligned):
             return
         if moved is False:
-            self._parked.take_up(navigation, frame.stamp_ns)
+            parked.take_up(navigation, frame.stamp_ns)
             self._aligned, self._search = True, None
         self._parked = None
 
@@ -292,9 +300,8 @@ class TramLocaliser:
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
         mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
-        memory = navigation.ekf.memory
-        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
-        estimate = estimate_of(memory, share, self._stamp_ns, mode, standing, verdicts)
+        ekf = navigation.ekf
+        estimate = estimate_of(ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts)
         if self._aligned:
             return estimate
         fix = self._last_fix
@@ -318,9 +325,8 @@ class TramLocaliser:
             return None
         if not self._aligned:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
-        m = self._ahead.predict(navigation.ekf, self._stamp_ns)
-        share = float(navigation.ekf.parameters[Pm.CLOCK_SHARE])
-        return estimate_of(m, share, stamp_ns, last.mode, last.standing, [])
+        values = self._ahead.predict(navigation.ekf, self._stamp_ns)
+        return Estimate(stamp_ns, last.mode, values, last.standing, [])
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation
@@ -377,7 +383,7 @@ class TramLocaliser:
         self._last_fix = None if last is None else GnssFix.FromString(last)
         self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])
         self._ahead.restore(state["ahead"])
-        self._last = None if state["last"] is None else Estimate(**state["last"])
+        self._last = None if state["last"] is None else from_plain(state["last"])
         for name in _PLAIN:
             setattr(self, name, state[name])
 

@@ -9,9 +9,16 @@ from typing import Any
 import numpy as np
 
 from tramstream.kernels import Array
-from tramstream.localisation import HEADING_UNKNOWN, Estimate, Verdict
+from tramstream.localisation import (
+    ACCELERATION,
+    HEADING_UNKNOWN,
+    VALUES,
+    YAW_RATE,
+    Estimate,
+    Verdict,
+    values_of,
+)
 from tramstream.processors import tram_frames as frames
-from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_states import Ix
 
 NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
@@ -19,26 +26,23 @@ NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 
 
 def estimate_of(
-    m: Array, share: float, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+    m: Array, c: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
 ) -> Estimate:
-    """Give the motion of the vehicle's origin out of the filter's memory; see `origin`."""
-    motion, covariance = np.empty(7), np.empty((7, 7))
-    known = mode != HEADING_UNKNOWN
-    frames.origin(m, share if known else 0.0, motion, covariance)
-    accel, rate = m[kernels.ACCELERATION : kernels.YAW_RATE + 1].tolist()
-    return Estimate(stamp_ns, mode, motion, covariance, accel, rate, standing, verdicts)
+    """Give the motion of the vehicle's origin out of the filter's memory; see `say`."""
+    values = np.empty(VALUES)
+    frames.say(m, c, mode != HEADING_UNKNOWN, values)
+    return Estimate(stamp_ns, mode, values, standing, verdicts)
 
 
 def without_heading(estimate: Estimate, lever_m: float = 0.0) -> Estimate:
     """Say of a vehicle that its heading is not known, and so not where it is about its antenna."""
-    motion, covariance = estimate.motion.copy(), estimate.covariance.copy()
+    said = replace(estimate, values=estimate.values.copy())
+    motion, covariance = said.motion, said.covariance
     covariance[:2, :2] += np.eye(2) * lever_m**2
-    motion[Ix.YAW] = 0.0
+    motion[Ix.YAW] = said.values[ACCELERATION] = said.values[YAW_RATE] = 0.0
     covariance[Ix.YAW, :] = covariance[:, Ix.YAW] = 0.0
     covariance[Ix.YAW, Ix.YAW] = NO_HEADING_STD_RAD**2
-    return replace(
-        estimate, motion=motion, covariance=covariance, yaw_rate_radps=0.0, acceleration_mps2=0.0
-    )
+    return said
 
 
 def at_fix(
@@ -60,7 +64,23 @@ def at_fix(
 
 def plain(estimate: Estimate) -> dict[str, Any]:
     """Fields of an estimate as plain data, without the verdicts that led to it."""
-    fields = {each: getattr(estimate, each) for each in Estimate.__slots__ if each != "verdicts"}
-    fields["mode"] = int(estimate.mode)
-    fields["motion"], fields["covariance"] = estimate.motion.copy(), estimate.covariance.copy()
-    return fields
+    return {
+        "stamp_ns": estimate.stamp_ns,
+        "mode": int(estimate.mode),
+        "motion": estimate.motion.copy(),
+        "covariance": estimate.covariance.copy(),
+        "acceleration_mps2": estimate.acceleration_mps2,
+        "yaw_rate_radps": estimate.yaw_rate_radps,
+        "standing": estimate.standing,
+    }
+
+
+def from_plain(fields: dict[str, Any]) -> Estimate:
+    """Give the estimate that `plain` took apart."""
+    values = values_of(
+        fields["motion"],
+        fields["covariance"],
+        fields["acceleration_mps2"],
+        fields["yaw_rate_radps"],
+    )
+    return Estimate(fields["stamp_ns"], fields["mode"], values, fields["standing"])

@@ -38,6 +38,13 @@ READING_S = 0.01
 LOG_2PI = math.log(2.0 * math.pi)
 
 _COLUMNS = np.arange(SIZE)
+_SPEED, _GYRO_Z = int(Ix.SPEED), int(Ix.GYRO_Z)
+_SPEED_VARIANCE = kernels.COVARIANCE.start + _SPEED * (SIZE + 1)
+_FIX, _VELOCITY = (
+    ("gnss_east", "gnss_north", "gnss_up"),
+    ("gnss_velocity_east", "gnss_velocity_north"),
+)
+_PATH, _RIM = ("wheel_a", "wheel_b"), ("rim_a", "rim_b")
 
 
 def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
@@ -86,6 +93,8 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
     def __init__(self, c: Array) -> None:
         self.memory = np.zeros(kernels.MEMORY)
+        # Single numbers are read from here: that takes half as long as out of an array.
+        self._numbers = self.memory.data
         self._x = self.memory[kernels.STATE].reshape(SIZE, 1)
         self._P = self.memory[kernels.COVARIANCE].reshape(SIZE, SIZE)
         super().__init__(dim_x=SIZE, dim_z=1)
@@ -93,7 +102,6 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self.log_likelihood_sum = 0.0
         """Of all measurements since it was last set to zero."""
         self._out = np.zeros((3, 2))
-        self._out_path = self._out[0]
         self._z = np.zeros(3)
         self._R = np.zeros(3)
         self._R[2] = DOUBT_STD_M**2
@@ -114,6 +122,23 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     @P.setter
     def P(self, value: Any) -> None:
         self._P[:] = np.eye(SIZE) * value if np.isscalar(value) else value
+
+    @property
+    def speed(self) -> float:
+        """Along x, m/s."""
+        speed: float = self._numbers[_SPEED]
+        return speed
+
+    @property
+    def speed_variance(self) -> float:
+        variance: float = self._numbers[_SPEED_VARIANCE]
+        return variance
+
+    @property
+    def gyro_bias_z(self) -> float:
+        """Of the vertical gyroscope, rad/s."""
+        bias: float = self._numbers[_GYRO_Z]
+        return bias
 
     @property
     def log_likelihood(self) -> float:
@@ -199,7 +224,7 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         measurements.position(
             self.memory, self.parameters, self._z, self._R, PAIR_GATE, PAIR_KNEE, self._out
         )
-        return self._judged(("gnss_east", "gnss_north", "gnss_up"))
+        return self._all_judged(_FIX)
 
     def velocity(self, z: Sequence[float], std: float) -> list[Verdict]:
         """Take the antenna's velocity over ground (east, north), m/s."""
@@ -207,21 +232,17 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         measurements.velocity(
             self.memory, self.parameters, self._z, std * std, PAIR_GATE, PAIR_KNEE, self._out
         )
-        return self._judged(("gnss_velocity_east", "gnss_velocity_north"))
+        return self._all_judged(_VELOCITY)
 
     def path(self, wheel: int, way: float, variance: float) -> Verdict:
         """Take a wheel's path since its last reading, m."""
-        measurements.path(
-            self.memory, self.parameters, wheel, way, variance, SCALAR_GATE, self._out_path
-        )
-        return self._judged(("wheel_a" if wheel == 0 else "wheel_b",))[0]
+        y, S = measurements.path(self.memory, self.parameters, wheel, way, variance, SCALAR_GATE)
+        return self._judged(_PATH[wheel], y, S)
 
     def rim(self, wheel: int, speed: float, std: float) -> Verdict:
         """Take a wheel's speed, m/s."""
-        measurements.rim(
-            self.memory, self.parameters, wheel, speed, std * std, SCALAR_GATE, self._out_path
-        )
-        return self._judged(("rim_a" if wheel == 0 else "rim_b",))[0]
+        y, S = measurements.rim(self.memory, self.parameters, wheel, speed, std * std, SCALAR_GATE)
+        return self._judged(_RIM[wheel], y, S)
 
     def tie(self, wheel: int, variance: float) -> None:
         """Count a wheel's path from here on."""
@@ -231,16 +252,19 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         """Give the path since its last reading that a wheel's counter should show now, m."""
         return float(measurements.counted(self.memory, self.parameters, wheel))
 
-    def _judged(self, names: Sequence[str]) -> list[Verdict]:
-        verdicts = []
-        for name, (y, S) in zip(names, self._out.tolist(), strict=False):
-            accepted = S > 0.0
-            S = abs(S)
-            # What is refused counts as much as the last that would not have been.
-            distance = min(y * y / S, PAIR_GATE) if S > 0.0 else PAIR_GATE
-            self.log_likelihood_sum -= 0.5 * (distance + math.log(S))
-            verdicts.append(Verdict(name, y, S, accepted))
-        return verdicts
+    def _judged(self, name: str, y: float, S: float) -> Verdict:
+        """Make a verdict of an innovation and its variance, negative where it was refused."""
+        accepted = S > 0.0
+        S = abs(S)
+        # What is refused counts as much as the last that would not have been.
+        distance = min(y * y / S, PAIR_GATE) if S > 0.0 else PAIR_GATE
+        self.log_likelihood_sum -= 0.5 * (distance + math.log(S))
+        return Verdict(name, y, S, accepted)
+
+    def _all_judged(self, names: Sequence[str]) -> list[Verdict]:
+        return [
+            self._judged(name, *seen) for name, seen in zip(names, self._out.tolist(), strict=False)
+        ]
 
     # Changes that are no measurement -------------------------------------------------------------
     def forget(self, slots: Sequence[Ix], stds: Sequence[float]) -> None:

@@ -9,9 +9,12 @@ import math
 
 import numpy as np
 
+from tramstream import localisation
 from tramstream.kernels import Array, compiled
+from tramstream.localisation import ACCELERATION, YAW_RATE
+from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_kernels import COVARIANCE, STATE, slots
-from tramstream.processors.tram_states import SIZE, Ix
+from tramstream.processors.tram_states import SIZE, Ix, Pm
 from tramstream.proto.sync_pb2 import ImuMean
 
 FASTEST_RADPS = 4.0
@@ -23,6 +26,7 @@ STEADY_S = 0.5
 """Of the rates that a row of H is made of."""
 SHAKING_S = 0.3
 """Of what neighbouring rates differ by: a pothole is over after so long."""
+_OF_MOTION = localisation.COVARIANCE
 _MOVED = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
 
 
@@ -132,3 +136,17 @@ def origin(m: Array, share: float, motion: Array, covariance: Array) -> None:
                 for j in range(4):
                     moved += T[a, k] * P[_MOVED[k], _MOVED[j]] * T[b, j]
             covariance[a, b] += moved
+
+
+@compiled
+def say(m: Array, c: Array, facing: bool, values: Array) -> None:
+    """Fill the values of an estimate (`tramstream.localisation`) out of the filter's memory.
+
+    Parameters
+    ----------
+    facing : bool
+        Whether the heading is known; the stamp's true time says nothing of the place without one.
+    """
+    share = c[Pm.CLOCK_SHARE] if facing else 0.0
+    origin(m, share, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
+    values[ACCELERATION], values[YAW_RATE] = m[kernels.ACCELERATION], m[kernels.YAW_RATE]

@@ -55,10 +55,6 @@ SEEN = slice(_SEEN, TAKEN)
 """Innovation, S (negative: refused) and the number of entries of H, scalar by scalar."""
 
 
-STRIDE = 5
-"""Readings that `ahead_of` takes together."""
-
-
 def slots(*names: Ix) -> Indices:
     """Columns of a row of H."""
     return np.array([int(slot) for slot in names], dtype=np.int64)
@@ -329,39 +325,3 @@ def rest(m: Array, c: Array, dt: float) -> None:
     P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] += c[Pm.GNSS_DENSITY] * dt
     P[Ix.GNSS_UP, Ix.GNSS_UP] += c[Pm.GNSS_UP_DENSITY] * dt
     m[ACCELERATION] = m[YAW_RATE] = 0.0
-
-
-@compiled
-def ahead_of(
-    m: Array, to: Array, c: Array, inputs: Array, durations: Array, begin: int, end: int
-) -> None:
-    """Predict a copy of `m` through the readings from `begin` to `end`.
-
-    The state goes step by step, the covariance in one step.
-    """
-    for k in range(to.shape[0]):
-        to[k] = m[k]
-    if end <= begin:
-        return
-    x, P = to[STATE], to[COVARIANCE].reshape((SIZE, SIZE))
-    total = 0.0
-    k = begin
-    while k < end:
-        # Five readings at a time: over 50 ms the midpoint rule is good to a tenth of a millimetre.
-        last = min(k + STRIDE, end)
-        u = np.zeros(10)
-        dt = 0.0
-        for j in range(k, last):
-            dt += durations[j]
-            for i in range(10):
-                u[i] += inputs[j, i] * durations[j]
-        if dt > 0.0:
-            for i in range(10):
-                u[i] /= dt
-            to[ACCELERATION], to[YAW_RATE] = move(x, c, u, dt)
-        total += dt
-        k = last
-    transition(m[STATE], c, inputs[end - 1], total, to[ENTRY_VALUES])
-    scratch = to[SCRATCH].reshape((SIZE, SIZE))
-    predict_covariance(P, ROWS, COLUMNS, to[ENTRY_VALUES], ENTRY_COUNT, scratch)
-    add_noise(x, P, c, total)

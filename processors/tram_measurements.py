@@ -140,10 +140,12 @@ def velocity(m: Array, c: Array, z: Array, R: float, gate: float, knee: float, o
 
 
 @compiled
-def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out: Array) -> None:
+def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float) -> tuple[float, float]:
     """Take a wheel's path since its last reading, m, and count from here on.
 
-    `out`, shape (2,), gets the innovation and its variance.
+    Returns
+    -------
+    innovation, variance : float
     """
     x, h = m[STATE], row(m, 0)
     slot, sign, scale, columns = Ix.PATH_A + 0, c[Pm.SIGN_A], x[Ix.SCALE_A], _WHEEL_A
@@ -152,8 +154,9 @@ def path(m: Array, c: Array, wheel: int, way: float, R: float, gate: float, out:
     v, delay, counted = sign * x[Ix.SPEED], x[Ix.WHEEL_DELAY], 1.0 + scale
     h[0], h[1], h[2], h[3] = 1.0, -v * counted, -sign * delay * counted, -v * delay
     y = way - (x[slot] - v * delay * counted)
-    out[0], out[1] = y, take(m, 0, columns, 4, y, R, gate)
+    S = take(m, 0, columns, 4, y, R, gate)
     x[slot] -= way
+    return y, S
 
 
 @compiled
@@ -186,7 +189,7 @@ def counted(m: Array, c: Array, wheel: int) -> float:
 
 
 @compiled
-def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out: Array) -> None:
+def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float) -> tuple[float, float]:
     """Take a wheel's speed, m/s, where the bus gives one; see `path`."""
     x, h = m[STATE], row(m, 0)
     offset, sign, scale, columns = c[Pm.OFFSET_A], c[Pm.SIGN_A], x[Ix.SCALE_A], _RIM_A
@@ -197,7 +200,7 @@ def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float, out
     counted = 1.0 + scale
     h[0], h[1], h[2], h[3] = sign * counted, true, sign * offset * counted, -sign * a * counted
     y = speed - true * counted
-    out[0], out[1] = y, take(m, 0, columns, 4, y, R, gate)
+    return y, take(m, 0, columns, 4, y, R, gate)
 
 
 @compiled

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -57,6 +59,8 @@ class Navigation:
         self.stamp_ns = 0
         self.inputs = np.zeros((4, 10))
         """Inertial reading before, now, and what acts between them."""
+        self._reading, self._between = self.inputs[1], self.inputs[2]
+        self._shaking, self._steady = self.inputs[3, 3:6], self.inputs[3, 6:9]
         self.complaints: list[str] = []
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
@@ -133,7 +137,8 @@ class Navigation:
             if pause:
                 self._blind.bridge(self.ekf.parameters, dt)
             else:
-                self._blind.end(self.ekf.parameters)
+                if self._blind.active:
+                    self._blind.end(self.ekf.parameters)
                 if self._aliasing:
                     self._shaken()
         self._read_ns = mean.stamp_ns
@@ -143,7 +148,7 @@ class Navigation:
         """Shaking that the readings do not resolve is white noise to the angles, axis by axis."""
         white, share = self._still_floor[0], self._aliasing * READING_S
         densities = self.ekf.parameters[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1]
-        np.multiply(self.inputs[3, 3:6], share, out=densities)
+        np.multiply(self._shaking, share, out=densities)
         densities += white
 
     def _read_rate(self, reading: Odometry) -> None:
@@ -178,21 +183,22 @@ class Navigation:
             ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
         self.stood = standing
         verdicts: list[Verdict] = []
-        if frame.gnss or frame.odometry:
-            for measurement in sorted((*frame.gnss, *frame.odometry), key=_stamp):
-                if not self._of(measurement.stamp_ns, frame.stamp_ns):
+        frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
+        if gnss or odometry:
+            for measurement in sorted((*gnss, *odometry), key=_stamp):
+                stamp_ns = measurement.stamp_ns
+                if not self._of(stamp_ns, frame_ns):
                     continue
-                self._advance(min(measurement.stamp_ns, frame.stamp_ns), standing)
+                self._advance(min(stamp_ns, frame_ns), standing)
                 verdicts += self._measure(measurement, standing)
-        self._advance(frame.stamp_ns, standing)
+        self._advance(frame_ns, standing)
         if noise is None:
             if standing:
                 ekf.stop()
             return verdicts
-        u = self.inputs[1]
         if standing:
-            self._stand(u, noise)
-        verdict = ekf.inertial(u, self.inputs[3, 6:9])
+            self._stand(self._reading, noise)
+        verdict = ekf.inertial(self._reading, self._steady)
         if verdict is not None:
             verdicts.append(verdict)
         return verdicts
@@ -205,9 +211,9 @@ class Navigation:
             self.ekf.rest(dt)
         else:
             while dt > LONGEST_STEP_S:
-                self.ekf.predict(self.inputs[2], LONGEST_STEP_S)
+                self.ekf.predict(self._between, LONGEST_STEP_S)
                 dt -= LONGEST_STEP_S
-            self.ekf.predict(self.inputs[2], dt)
+            self.ekf.predict(self._between, dt)
         self.stamp_ns = stamp_ns
 
     def _of(self, stamp_ns: int, frame_ns: int) -> bool:
@@ -299,13 +305,11 @@ class Navigation:
         self.ekf.memory[:] = state["memory"]
         self.ekf.parameters = np.array(state["parameters"]).reshape(PARAMETERS)
         self.stamp_ns, self._read_ns = state["stamp_ns"], state["read_ns"]
-        self.inputs = np.array(state["inputs"])
+        self.inputs[:] = state["inputs"]
         self._rate_ns, self.stood = state["rate_ns"], state["stood"]
         self._blind.restore(state["blind"])
         self.wheels.restore(state["wheels"])
         self.fixes.restore(state["fixes"])
 
 
-def _stamp(measurement: Any) -> int:
-    stamp_ns: int = measurement.stamp_ns
-    return stamp_ns
+_stamp: Callable[[Any], int] = attrgetter("stamp_ns")

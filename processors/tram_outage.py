@@ -47,18 +47,21 @@ class Silence:
         self._said_ns: dict[str, int] = {}
         self._second = 0
 
-    def step(self, frame: SyncFrame, slipping_s: float) -> list[str]:
-        """Take note of what a frame brings; gives what there is to say."""
-        stamp_ns = frame.stamp_ns
+    def see(self, frame: SyncFrame) -> bool:
+        """Take note of what a frame brings; whether it is time to look for what does not come."""
+        stamp_ns, last_ns = frame.stamp_ns, self._last_ns
         if frame.HasField("imu"):
-            self._last_ns[_IMU] = stamp_ns
+            last_ns[_IMU] = stamp_ns
         if frame.odometry:
-            self._last_ns[_WHEELS] = stamp_ns
-        if any(fix.valid for fix in frame.gnss):
-            self._last_ns[_FIXES] = stamp_ns
-        if stamp_ns // S == self._second:
-            return []
-        self._second = stamp_ns // S
+            last_ns[_WHEELS] = stamp_ns
+        for fix in frame.gnss:
+            if fix.valid:
+                last_ns[_FIXES] = stamp_ns
+        second, self._second = self._second, stamp_ns // S
+        return second != self._second
+
+    def sentences(self, stamp_ns: int, slipping_s: float) -> list[str]:
+        """Give what there is to say."""
         found = [
             sentence
             for sentence in self._expected

@@ -36,7 +36,7 @@ from tramstream.localisation import Estimate
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_estimate import estimate_of
 from tramstream.processors.tram_kernels import ENTRY_COUNT
-from tramstream.processors.tram_states import COLUMNS, ROWS, SIZE, Pm
+from tramstream.processors.tram_states import COLUMNS, ROWS, SIZE
 from tramstream.processors.tram_trace import (
     ANEW,
     INPUTS,
@@ -209,11 +209,10 @@ class Smoothed:
     def estimates(self) -> Iterator[Estimate]:
         """The same as the filter says it: motion of the vehicle's origin, no verdicts."""
         m = np.zeros(kernels.MEMORY)
-        share = float(self.parameters[Pm.CLOCK_SHARE])
         for k, stamp_ns in enumerate(self.stamp_ns.tolist()):
             standing = bool(self.standing[k])
             recall(self.rows[k], self.parameters, standing, m)
-            yield estimate_of(m, share, stamp_ns, int(self.mode[k]), standing, [])
+            yield estimate_of(m, self.parameters, stamp_ns, int(self.mode[k]), standing, [])
 
 
 def smooth(trace: Trace) -> Smoothed:

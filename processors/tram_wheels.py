@@ -76,12 +76,16 @@ class Wheel:
     down: int = 0  # readings in a row in which it has
 
 
+_SIGN = int(Pm.SIGN_A)
+
+
 class WheelPair:
     """The one or two wheels that the filter has states for."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         config = vehicle.wheels
         self._m_per_pulse = config.m_per_pulse
+        self._pulse_variance = config.m_per_pulse**2 * QUANTISATION
         self._stamp_variance = config.stamp_std_s**2
         self._speed_std = config.speed_std_mps
         odometer = vehicle.odometer
@@ -130,7 +134,7 @@ class WheelPair:
                 ways.append(each.speed_mps if abs(each.speed_mps) > TURNING_MPS else 0.0)
         if not ways:
             return None
-        return any(way != 0.0 for way in ways), sum(ways) / len(ways)
+        return any(ways), sum(ways) / len(ways)
 
     def take(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
         """Take all wheels of a reading; the filter is at its stamp."""
@@ -210,8 +214,8 @@ class WheelPair:
     def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
         pause_s = (stamp_ns - wheel.stamp_ns) / S
         way = self._count(wheel, pulses, stamp_ns)
-        speed = float(ekf.memory[Ix.SPEED])
-        variance = self._m_per_pulse**2 * QUANTISATION + speed**2 * self._stamp_variance
+        speed = ekf.speed
+        variance = self._pulse_variance + speed**2 * self._stamp_variance
         if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             self._begin(wheel, stamp_ns, variance, ekf)
             return None
@@ -258,15 +262,16 @@ class WheelPair:
 
     def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
-        c, slot = ekf.parameters, Pm.SIGN_A + wheel.slot
+        slot = _SIGN + wheel.slot
+        before = float(ekf.parameters[slot])
         if wheel.signed:
             sign = 1.0
-        elif way * c[slot] * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
-            sign = -c[slot]
+        elif way * before * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
+            sign = -before
         else:
             return
-        if sign != c[slot]:
-            c[slot] = sign
+        if sign != before:
+            ekf.parameters[slot] = sign
             ekf.tie(wheel.slot, self._m_per_pulse**2)
 
     def _slip(

@@ -1,35 +1,57 @@
-"""Reprocessing on two cores: demanding processors run in another process than all the rest.
+"""Reprocessing on several cores: demanding processors run in a process of their own.
 
-A localisation filter reads only what the resampler makes, and takes as long as everything else. So
-the record is read, decoded and resampled in a forked process; what that makes comes through a pipe,
-in order, and here it is stepped on through the filter and written. On one core the same is done in
-one process: order and bytes are the same.
+A localisation filter reads only what the resampler makes, and takes as long as everything else
+together. So the work is parted, each part in a process:
+
+    reading ──what the first processors make──▶ following ──what follows from it──▶ writing
+       └──────────────────────────the same, and recorded outputs─────────────────────▲
+
+*Reading* goes through the record and steps the first processors. *Following*, for each group of
+outputs, steps those behind and answers with one group. *Writing*, which is the caller's process,
+takes the groups and their answers in turn: order and bytes are those of one process, which does
+it all where there is one core.
+
+Nobody can wait in a circle: data flow one way, and each group goes to the writer before it goes to
+the followers, so that what answers it finds the writer waiting. A process that fails hands its
+exception on, and one that is killed closes its pipes; either ends all.
 """
 
 from __future__ import annotations
 
+import fcntl
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import islice
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkProcess
 from traceback import format_exc
-from typing import Any
+from typing import Any, NamedTuple
 
 from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.keys import Key
-from tramstream.processor import Processor, Sample
+from tramstream.processor import Processor, Sample, Smoothing
 from tramstream.recorder.reader import Record
 from tramstream.recorder.reprocess import Expect, Output, Plan, Reprocessor, Take, restore
 
 GATHERED = 128
-"""Groups of outputs that go through the pipe together: a second of a ride."""
+"""Groups of outputs that go through a pipe together: a second of a ride."""
+PIPE_BYTES = 1 << 20
+"""What a pipe holds, so that nobody waits for a neighbour who is a few seconds of the ride behind;
+without privileges Linux allows no more."""
 JOIN_S = 10.0
+KILLED = "the process that {} was killed; is there enough memory?"
+READING, FOLLOWING = "read the record", "ran the filter"
 
-_Group = tuple[int, int, list[tuple[str, bytes, int, int]]]
-"""Session, log time, and of each output: key path, encoded message, stamp, sequence."""
+_Encoded = tuple[str, bytes, int, int]
+"""Of an output: key path, encoded message, stamp, sequence."""
+_Group = tuple[int, int, list[_Encoded]]
+"""Session, log time, outputs."""
 _Expected = tuple[int, str, int, bytes]
 
 
@@ -59,6 +81,18 @@ def _inputs(processor: Processor) -> set[str]:
     return {key.path for key in processor.inputs}
 
 
+@dataclass
+class Takers:
+    """Who gets what comes out; all are called in the caller's process."""
+
+    take: Take
+    """Gets the outputs."""
+    expect: Expect | None = None
+    """Gets the recorded ones, to compare; see `Reprocessor.compare`."""
+    smoothed: Take | None = None
+    """Gets what smoothers say after the ride, one by one at its stamp; None: nobody smooths."""
+
+
 class Followers:
     """Steps what the first processors make through those behind them.
 
@@ -67,156 +101,257 @@ class Followers:
     processors : list of Processor
         Those behind; fresh ones.
     plan : Plan
-    take : callable
-        Gets what the first ones make and what follows from it.
     others : collection of str
         Names of the first ones: their memory in a snapshot is not looked at here.
     """
 
-    def __init__(
-        self, processors: list[Processor], plan: Plan, take: Take, others: Collection[str]
-    ) -> None:
+    def __init__(self, processors: list[Processor], plan: Plan, others: Collection[str]) -> None:
         self._processors, self._others = processors, others
-        self._plan, self._take = plan, take
+        self._plan = plan
         self._session = -1
         self._steps: dict[str, list[Callable[[Sample], list[Sample]]]] = {}
         for processor in processors:
             for key in processor.inputs:
                 self._steps.setdefault(key.path, []).append(processor.step)
-        self._keys: dict[str, Key] = {}
 
-    def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
-        """Hand on what followed from one input, then what follows from that."""
+    def wants(self, path: str) -> bool:
+        return path in self._steps
+
+    def step(self, session: int, samples: list[Sample]) -> list[Output]:
+        """Give what follows from `samples`, which followed from one input."""
         if session != self._session and self._plan.anchored:
             restore(self._plan.sessions[session].snapshot, self._processors, self._others)
         self._session = session
-        self._take(session, log_ns, outputs)
         following: list[Output] = []
-        work = [sample for sample, _ in outputs]
-        for sample in work:  # grows meanwhile
+        for sample in samples:  # grows meanwhile
             for step in self._steps.get(sample.key.path, ()):
                 for result in step(sample):
                     following.append((result, result.message.SerializeToString()))
-                    work.append(result)
-        if following:
-            self._take(session, log_ns, following)
-
-    def decode(self, path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
-        """An output that came encoded; its message only if somebody here wants it."""
-        key = self._keys.get(path)
-        if key is None:
-            found = keys.find(path)
-            assert found is not None
-            key = self._keys[path] = found
-        message: Any = key.type.FromString(payload) if path in self._steps else None
-        return Sample(key, message, stamp_ns, sequence), payload
+                    samples.append(result)
+        return following
 
 
-class _Sender:
-    """The child's end: gathers and sends."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-        self._groups: list[_Group] = []
-        self._expected: list[_Expected] = []
-
-    def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
-        encoded = [(s.key.path, payload, s.stamp_ns, s.sequence) for s, payload in outputs]
-        self._groups.append((session, log_ns, encoded))
-        if len(self._groups) >= GATHERED:
-            self.flush()
-
-    def expect(self, session: int, path: str, sequence: int, payload: bytes) -> None:
-        self._expected.append((session, path, sequence, payload))
-
-    def flush(self) -> None:
-        self._connection.send((self._groups, self._expected))
-        self._groups, self._expected = [], []
-
-    def send(self, run: Reprocessor) -> None:
-        """Send everything, then what was missing or the exception that ended it."""
-        end: dict[str, int] | Exception = run.missing
-        try:
-            run.run()
-            self.flush()
-        except BrokenPipeError:
-            raise
-        except Exception as error:  # noqa: BLE001  raised again on the other side
-            error.add_note(format_exc())
-            end = error
-        self._connection.send(end)
-
-
-def run(
-    record: Record, processors: list[Processor], plan: Plan, take: Take, expect: Expect | None
-) -> dict[str, int]:
+def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers) -> dict[str, int]:
     """Reprocess `record`; return what the live processors had of each key and the record does not.
-
-    `take` gets the outputs and `expect` the recorded ones; see `reprocess`.
 
     Raises
     ------
     RecordError
-        As `Reprocessor.run`, or if the other process was killed.
+        As `Reprocessor.run`, or if another process was killed.
     """
     first, behind = part(processors)
     names = [{processor.name for processor in each} for each in (first, behind)]
-    followers = Followers(behind, plan, take, names[0])
+    followers = Followers(behind, plan, names[0])
     # A worker of a pool may have no children.
     apart = len(os.sched_getaffinity(0)) > 1 and not multiprocessing.current_process().daemon
-    if behind and apart:
-        here, there = multiprocessing.Pipe(duplex=False)
-        sender = _Sender(there)
+    if behind and apart and not any(isinstance(each, Smoothing) for each in first):
+        sender = _Sender(followers.wants)
         run = Reprocessor(record, first, plan, sender.take, names[1])
-        if expect is not None:
+        if takers.expect is not None:
             run.compare(sender.expect, _paths(behind))
-        return _run_apart(run, sender, (here, there), followers, expect)
-    run = Reprocessor(record, first, plan, followers.take if behind else take, names[1])
-    if expect is not None:
-        run.compare(expect, _paths(behind))
+        smoothers = behind if takers.smoothed is not None else []
+        return _run_apart(run, sender, partial(_follow, followers, smoothers), takers)
+
+    def take(session: int, log_ns: int, outputs: list[Output]) -> None:
+        takers.take(session, log_ns, outputs)
+        made = followers.step(session, [sample for sample, _ in outputs])
+        if made:
+            takers.take(session, log_ns, made)
+
+    run = Reprocessor(record, first, plan, take if behind else takers.take, names[1])
+    if takers.expect is not None:
+        run.compare(takers.expect, _paths(behind))
     run.run()
+    if takers.smoothed is not None:
+        for sample, payload in _smoothed(processors):
+            takers.smoothed(0, sample.stamp_ns, [(sample, payload)])
     return run.missing
 
 
+def _smoothed(processors: list[Processor]) -> Iterator[Output]:
+    """What smoothers among `processors` say after the ride."""
+    for processor in processors:
+        if isinstance(processor, Smoothing):
+            for sample in processor.smoothed():
+                yield sample, sample.message.SerializeToString()
+
+
+# Reading -----------------------------------------------------------------------------------------
+class _Sender:
+    """Gathers what the first processors make and sends it to those who write and who follow."""
+
+    def __init__(self, wanted: Callable[[str], bool]) -> None:
+        self._wanted = wanted
+        self.writing, self.following = _pipe(), _pipe()
+        self._groups: list[_Group] = []
+        self._expected: list[_Expected] = []
+
+    def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
+        self._groups.append((session, log_ns, [_encoded(*each) for each in outputs]))
+        if len(self._groups) >= GATHERED:
+            self._flush()
+
+    def expect(self, session: int, path: str, sequence: int, payload: bytes) -> None:
+        self._expected.append((session, path, sequence, payload))
+
+    def _flush(self) -> None:
+        self.writing.sink.send((self._groups, self._expected))
+        wanted = self._wanted
+        self.following.sink.send(
+            [
+                (session, [each for each in encoded if wanted(each[0])])
+                for session, _, encoded in self._groups
+            ]
+        )
+        self._groups, self._expected = [], []
+
+    def send(self, run: Reprocessor) -> None:
+        """Send everything, then what was missing or the exception that ended it."""
+        try:
+            run.run()
+            self._flush()
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # noqa: BLE001  raised again on the other side
+            error.add_note(format_exc())
+            self.writing.sink.send(error)
+        else:
+            self.writing.sink.send(run.missing)
+            self.following.sink.send(None)
+
+
+# Following ---------------------------------------------------------------------------------------
+def _follow(
+    followers: Followers, smoothers: list[Processor], source: Connection, sink: Connection
+) -> None:
+    """Answer each batch of groups with one of what follows; at the end, send what smoothers say."""
+    try:
+        while (groups := _receive(source, READING)) is not None:
+            sink.send(
+                [
+                    [_encoded(*each) for each in followers.step(session, list(map(_sample, made)))]
+                    for session, made in groups
+                ]
+            )
+        said = _smoothed(smoothers)
+        while states := [_encoded(*each) for each in islice(said, GATHERED)]:
+            sink.send(states)
+        sink.send(None)
+    except BrokenPipeError:
+        raise
+    except Exception as error:  # noqa: BLE001  raised again on the other side
+        error.add_note(format_exc())
+        sink.send(error)
+
+
+# Writing -----------------------------------------------------------------------------------------
 def _run_apart(
     run: Reprocessor,
     sender: _Sender,
-    pipe: tuple[Connection, Connection],
-    followers: Followers,
-    expect: Expect | None,
+    follow: Callable[[Connection, Connection], None],
+    takers: Takers,
 ) -> dict[str, int]:
-    here, there = pipe
-
-    def work() -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipe's end tells this process to end
-        here.close()
-        with suppress(BrokenPipeError):
-            sender.send(run)
-
-    process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
-    process.start()
-    there.close()
+    """Start the other processes and write what they send."""
+    made, wanted = sender.writing, sender.following
+    # Only whoever uses an end keeps it open, or nobody would see a process die.
+    processes = [_fork(partial(sender.send, run), made.source, wanted.source)]
+    made.sink.close()
+    wanted.sink.close()
+    answers = _pipe()
+    work = partial(follow, wanted.source, answers.sink)
+    processes.append(_fork(work, made.source, answers.source))
+    wanted.source.close()
+    answers.sink.close()
     try:
-        return _receive(here, followers, expect)
-    except EOFError as error:
-        raise RecordError(
-            "the process that read the record was killed; is there enough memory?"
-        ) from error
+        return _write(made.source, answers.source, takers)
     finally:
-        here.close()
-        process.join(JOIN_S)
+        made.source.close()
+        answers.source.close()
+        for process in processes:
+            process.join(JOIN_S)
 
 
-def _receive(here: Connection, followers: Followers, expect: Expect | None) -> dict[str, int]:
+def _write(made: Connection, answers: Connection, takers: Takers) -> dict[str, int]:
+    take = takers.take
     while True:
-        received = here.recv()
-        if isinstance(received, Exception):
-            raise received
+        received = _receive(made, READING)
         if isinstance(received, dict):
-            return received
+            break
         groups, expected = received
-        for session, log_ns, encoded in groups:
-            followers.take(session, log_ns, [followers.decode(*each) for each in encoded])
-        if expect is not None:
+        for (session, log_ns, encoded), following in zip(
+            groups, _receive(answers, FOLLOWING), strict=True
+        ):
+            take(session, log_ns, [_output(*each) for each in encoded])
+            if following:
+                take(session, log_ns, [_output(*each) for each in following])
+        if takers.expect is not None:
             for each in expected:
-                expect(*each)
+                takers.expect(*each)
+    while (states := _receive(answers, FOLLOWING)) is not None:
+        assert takers.smoothed is not None
+        for each in states:
+            output = _output(*each)
+            takers.smoothed(0, output[0].stamp_ns, [output])
+    missing: dict[str, int] = received
+    return missing
+
+
+# Processes and pipes -----------------------------------------------------------------------------
+class _Pipe(NamedTuple):
+    source: Connection
+    sink: Connection
+
+
+def _pipe() -> _Pipe:
+    pipe = _Pipe(*multiprocessing.Pipe(duplex=False))
+    with suppress(OSError):  # users have a limit for all pipes together
+        fcntl.fcntl(pipe.sink.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    return pipe
+
+
+def _fork(work: Callable[[], None], *others: Connection) -> ForkProcess:
+    """Start `work` in a process that does not hold the ends of pipes that are `others`'."""
+
+    def begin() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipes' end tells this process to end
+        for each in others:
+            each.close()
+        with suppress(BrokenPipeError):
+            work()
+
+    process = multiprocessing.get_context("fork").Process(target=begin, daemon=True)
+    process.start()
+    return process
+
+
+def _receive(source: Connection, doing: str) -> Any:
+    """What the process that is `doing` something sends; raises the exception that ended it."""
+    try:
+        received = source.recv()
+    except EOFError as error:
+        raise RecordError(KILLED.format(doing)) from error
+    if isinstance(received, Exception):
+        raise received
+    return received
+
+
+def _encoded(sample: Sample, payload: bytes) -> _Encoded:
+    return sample.key.path, payload, sample.stamp_ns, sample.sequence
+
+
+def _output(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
+    """An output for whoever does not look at its message."""
+    return Sample(_key(path), None, stamp_ns, sequence), payload
+
+
+def _sample(encoded: _Encoded) -> Sample:
+    path, payload, stamp_ns, sequence = encoded
+    key = _key(path)
+    return Sample(key, key.type.FromString(payload), stamp_ns, sequence)
+
+
+@cache
+def _key(path: str) -> Key:
+    key = keys.find(path)
+    assert key is not None
+    return key

@@ -16,7 +16,7 @@ from tramstream.processor import Ordering, Processor, Smoothing
 from tramstream.recorder import apart
 from tramstream.recorder.compare import Comparison
 from tramstream.recorder.reader import Record, open_record
-from tramstream.recorder.reprocess import Output, Plan, Take, read_plan
+from tramstream.recorder.reprocess import Output, Plan, read_plan
 from tramstream.recorder.writer import CHUNK_BYTES, RecordFile
 
 
@@ -90,7 +90,8 @@ def rerun(
         processors = _processors(vehicle, plan)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
-        smoothers = _smoothers(processors) if smooth else []
+        if smooth:
+            _keep(processors)
         comparison = Comparison() if check else None
         metadata = {
             configs.RECORD_ENTRY: configs.to_json(vehicle),
@@ -99,18 +100,18 @@ def rerun(
         name = record.vehicle or vehicle.vehicle
         with RecordFile(out, name, metadata) as target:
             target.block_bytes = CHUNK_BYTES
-            take = _writer(target, name, comparison)
-            expect = comparison.expect if comparison is not None else None
-            missing = apart.run(record, processors, plan, take, expect)
-            count = target.message_count
-            for smoother in smoothers:
-                _write_smoothed(target, name, smoother)
-            outputs = target.message_count
+            outputs, smoothed = _Writer(target, name, comparison), _Writer(target, name)
+            takers = apart.Takers(
+                take=outputs.take,
+                expect=comparison.expect if comparison is not None else None,
+                smoothed=smoothed.take if smooth else None,
+            )
+            missing = apart.run(record, processors, plan, takers)
         if comparison is not None:
             comparison.close()
         return Rerun(
-            outputs=outputs,
-            smoothed=outputs - count,
+            outputs=outputs.count + smoothed.count,
+            smoothed=smoothed.count,
             sessions=len(plan.sessions),
             duration_s=(record.end_ns - record.start_ns) / S,
             missing=missing,
@@ -118,47 +119,43 @@ def rerun(
         )
 
 
-def _writer(target: RecordFile, vehicle: str, comparison: Comparison | None) -> Take:
-    """Appends outputs to `target` and hands them to `comparison`."""
-    append = target.append
-    topics: dict[str, str] = {}
+class _Writer:
+    """Appends outputs to `target`; readers put each in its place by its log time."""
 
-    def take(session: int, log_ns: int, outputs: list[Output]) -> None:
+    def __init__(
+        self, target: RecordFile, vehicle: str, comparison: Comparison | None = None
+    ) -> None:
+        self._append, self._vehicle, self._comparison = target.append, vehicle, comparison
+        self._topics: dict[str, str] = {}
+        self.count = 0
+
+    def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
+        append, topics, comparison = self._append, self._topics, self._comparison
+        self.count += len(outputs)
         for sample, payload in outputs:
             key = sample.key
-            topic = topics.get(key.path)
+            path = key.path
+            topic = topics.get(path)
             if topic is None:
-                topic = topics[key.path] = key.on(vehicle)
+                topic = topics[path] = key.on(self._vehicle)
             append(topic, key, payload, log_ns, log_ns, sample.sequence)
             if comparison is not None:
-                comparison.make(session, key.path, sample.sequence, payload)
-
-    return take
+                comparison.make(session, path, sample.sequence, payload)
 
 
-def _smoothers(processors: list[Processor]) -> list[Smoothing]:
-    """Those that can smooth, told to keep what it takes.
+def _keep(processors: list[Processor]) -> None:
+    """Tell those that can smooth to keep what it takes.
 
     Raises
     ------
     ConfigError
         If there is none, or the configured model cannot.
     """
-    smoothers: list[Smoothing] = [each for each in processors if isinstance(each, Smoothing)]
+    smoothers = [each for each in processors if isinstance(each, Smoothing)]
     for each in smoothers:
         each.keep()
     if not smoothers:
         raise ConfigError("no processor can smooth; leave out --smooth")
-    return smoothers
-
-
-def _write_smoothed(target: RecordFile, vehicle: str, smoother: Smoothing) -> None:
-    """Append what a smoother says; readers put it in its place by its log time."""
-    for sample in smoother.smoothed():
-        payload = sample.message.SerializeToString()
-        stamp_ns = sample.stamp_ns
-        topic = sample.key.on(vehicle)
-        target.append(topic, sample.key, payload, stamp_ns, stamp_ns, sample.sequence)
 
 
 def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
@@ -40,6 +40,11 @@ class Learned(NamedTuple):
     unit: str
 
 
+ACCELERATION, YAW_RATE, COVARIANCE = 7, 8, 9
+"""Where they begin in the values of an estimate, behind the motion."""
+VALUES = COVARIANCE + 49
+
+
 @dataclass(slots=True)
 class Estimate:
     """The vehicle's motion at one instant; nobody changes it.
@@ -51,14 +56,28 @@ class Estimate:
     stamp_ns: int
     mode: int
     """One of `MotionState.Mode`."""
-    motion: Array
-    """East, north, up, speed along x, roll, pitch, yaw; m, m/s, rad; shape (7,)."""
-    covariance: Array
-    """Of `motion`, shape (7, 7)."""
-    acceleration_mps2: float
-    yaw_rate_radps: float
+    values: Array
+    """All that follows in one array, shape (VALUES,): compiled code takes it as a whole."""
     standing: bool
     verdicts: list[Verdict] = field(default_factory=list)
+
+    @property
+    def motion(self) -> Array:
+        """East, north, up, speed along x, roll, pitch, yaw; m, m/s, rad; shape (7,)."""
+        return self.values[:ACCELERATION]
+
+    @property
+    def covariance(self) -> Array:
+        """Of `motion`, shape (7, 7)."""
+        return self.values[COVARIANCE:].reshape(7, 7)
+
+    @property
+    def acceleration_mps2(self) -> float:
+        return float(self.values[ACCELERATION])
+
+    @property
+    def yaw_rate_radps(self) -> float:
+        return float(self.values[YAW_RATE])
 
     @property
     def p_l(self) -> tuple[float, float, float]:
@@ -80,6 +99,17 @@ class Estimate:
     @property
     def yaw_rad(self) -> float:
         return math.remainder(float(self.motion[6]), math.tau)
+
+
+def values_of(
+    motion: ArrayLike, covariance: Array, acceleration_mps2: float, yaw_rate_radps: float
+) -> Array:
+    """Values of an estimate out of what they consist of."""
+    values = np.empty(VALUES)
+    values[:ACCELERATION] = motion
+    values[ACCELERATION], values[YAW_RATE] = acceleration_mps2, yaw_rate_radps
+    values[COVARIANCE:] = covariance.ravel()
+    return values
 
 
 class Localiser(Protocol):

@@ -12,9 +12,12 @@ from numpy.random import Generator
 
 from tramstream.config import Gnss, Imu, Vehicle, Wheels
 from tramstream.kernels import Array, predict_covariance, update_pair, update_scalar
+from tramstream.localisation import VALUES
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors import tram_measurements as measurements
+from tramstream.processors.ahead_kernels import READING, say_ahead
 from tramstream.processors.tram_filter import TramFilter, parameters
+from tramstream.processors.tram_frames import say
 from tramstream.processors.tram_states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
 
 RELATIVE = 1e-9
@@ -56,7 +59,7 @@ def state(rng: Generator) -> Array:
 def reading(rng: Generator) -> Array:
     u = np.zeros(10)
     u[:3] = rng.normal(0.0, 0.2, 3)
-    u[3:6] = rng.normal(0.0, 1.0, 3) + (0.0, 0.0, GRAVITY)
+    u[3:6] = rng.normal((0.0, 0.0, GRAVITY), 1.0)
     u[9] = 1.0
     return u
 
@@ -252,13 +255,11 @@ def at_velocity(m: Array, out: Array) -> Array:
 
 
 def at_wheel(m: Array, out: Array) -> Array:
-    measurements.path(m, constants(), 0, 0.1, 1.0, INFINITE, out[0])
-    return out[:1, 0]
+    return np.array(measurements.path(m, constants(), 0, 0.1, 1.0, INFINITE)[:1])
 
 
 def at_rim(m: Array, out: Array) -> Array:
-    measurements.rim(m, constants(), 1, 4.0, 1.0, INFINITE, out[0])
-    return out[:1, 0]
+    return np.array(measurements.rim(m, constants(), 1, 4.0, 1.0, INFINITE)[:1])
 
 
 @pytest.mark.parametrize("innovate", [at_position, at_velocity, at_wheel, at_rim])
@@ -293,3 +294,19 @@ def seen_row(m: Array, k: int) -> Array:
     columns = m[kernels.H_COLUMNS][k * kernels.ROW_LENGTH :][:count].astype(int)
     H[columns] = kernels.row(m, k)[:count]
     return H
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_prediction_to_now_says_what_the_filter_itself_would(count: int) -> None:
+    rng = np.random.default_rng(11)
+    m, c = np.zeros(kernels.MEMORY), constants()
+    m[kernels.STATE], m[kernels.COVARIANCE] = state(rng), covariance(rng).ravel()
+    m[Ix.PIVOT] = 2.0
+    readings = np.zeros((1, READING))
+    readings[0, :10], readings[0, 10] = reading(rng), 0.01
+    to, found, expected = m * 0.0, np.zeros(VALUES), np.zeros(VALUES)
+    say_ahead(m, to, c, readings, 0, count, found)
+    for row in readings[:count]:
+        kernels.predict(m, c, row[:10], row[10])
+    say(m, c, True, expected)
+    np.testing.assert_allclose(found, expected, rtol=RELATIVE, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -19,9 +20,12 @@ from tramstream.clock import S
 from tramstream.config import Imu, Vehicle
 from tramstream.errors import RecordError
 from tramstream.host import ProcessorNode
+from tramstream.processor import Processor, Sample
+from tramstream.processors.ekf import LocalisationFilter
 from tramstream.processors.resampler import Resampler
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
+from tramstream.recorder import apart
 from tramstream.recorder.apart import part
 from tramstream.recorder.rerun import Rerun, rerun
 from tramstream.recorder.writer import RecordFile
@@ -186,25 +190,60 @@ def test_difference_is_named(
 
 
 @pytest.mark.parametrize("cores", [1, 2])
+@pytest.mark.parametrize("where", [Resampler, LocalisationFilter])
 def test_bug_in_a_processor_is_raised_wherever_it_runs(
-    ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int
+    ride: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    cores: int,
+    where: type[Processor],
 ) -> None:
-    monkeypatch.setattr(Resampler, "_take_tick", lambda self, stamp_ns: [1 // 0])
+    monkeypatch.setattr(where, "step", lambda self, sample: [1 // 0])
     with pytest.raises(ZeroDivisionError):
         again(monkeypatch, ride, tmp_path / "out.mcap", cores)
     assert not (tmp_path / "out.mcap").exists()
+    assert not multiprocessing.active_children()
 
 
+@pytest.mark.parametrize(
+    ("where", "doing"), [(Resampler, apart.READING), (LocalisationFilter, apart.FOLLOWING)]
+)
 def test_other_process_that_is_killed_is_told(
+    ride: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    where: type[Processor],
+    doing: str,
+) -> None:
+    here, step = os.getpid(), where.step
+
+    def die(self: Processor, sample: Sample) -> list[Sample]:
+        assert os.getpid() != here
+        if sample.stamp_ns > START_NS + 2 * S:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return step(self, sample)
+
+    monkeypatch.setattr(where, "step", die)
+    with pytest.raises(RecordError, match=f"{doing} was killed"):
+        again(monkeypatch, ride, tmp_path / "out.mcap", 2)
+    assert not multiprocessing.active_children()
+
+
+def test_interrupted_run_ends_all_processes(
     ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    here = os.getpid()
+    def interrupt(self: RecordFile, *sent: object) -> None:
+        raise KeyboardInterrupt
 
-    def die(self: Resampler, stamp_ns: int) -> list:
-        assert os.getpid() != here
-        os.kill(os.getpid(), signal.SIGKILL)
-        return []
-
-    monkeypatch.setattr(Resampler, "_take_tick", die)
-    with pytest.raises(RecordError, match="was killed"):
+    monkeypatch.setattr(RecordFile, "append", interrupt)
+    with pytest.raises(KeyboardInterrupt):
         again(monkeypatch, ride, tmp_path / "out.mcap", 2)
+    assert not multiprocessing.active_children()
+
+
+def test_pipes_smaller_than_what_goes_through_block_nobody(
+    ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(apart, "PIPE_BYTES", 4096)
+    result = again(monkeypatch, ride, tmp_path / "out.mcap", 2, check=True)
+    assert result.identical
