@@ -6,7 +6,7 @@ import json
 import math
 import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from pathlib import Path
@@ -49,12 +49,12 @@ def _study(data: Path, mappings: Path) -> tuple[dict[str, dict[str, Any]], list[
     cuts: list[Cut] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(WORKERS, context) as pool:
-        whole = {
+        whole: dict[Future[Any], str] = {
             pool.submit(study.whole, data / each.folder, mappings / each.mapping): each.name
             for each in DRIVES
         }
         first = DRIVES[0]
-        parts = [
+        parts: list[Future[Any]] = [
             pool.submit(study.outages, data / first.folder, mappings / first.mapping, part, WORKERS)
             for part in range(WORKERS)
         ]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from statistics import NormalDist
+from typing import cast
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -145,7 +146,7 @@ class LocalisationFilter(Processor):
         message = places.describe(estimate, self._quantile)
         if message is None:
             return None
-        message.mode = estimate.mode
+        message.mode = cast("MotionState.Mode", estimate.mode)
         message.standing = estimate.standing
         for name, value, variance, accepted in estimate.verdicts:
             message.innovations.add(

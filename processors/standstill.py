@@ -129,7 +129,8 @@ class Standstill:
     @property
     def noise(self) -> Array:
         """Variance of rates and specific forces in the last moments, shape (6,)."""
-        return self._statistics[1]
+        variance: Array = self._statistics[1]
+        return variance
 
     @property
     def speed_over_ground_mps(self) -> float:

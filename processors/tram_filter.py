@@ -121,7 +121,7 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
     @P.setter
     def P(self, value: Any) -> None:
-        self._P[:] = np.eye(SIZE) * value if np.isscalar(value) else value
+        self._P[:] = np.eye(SIZE) * float(value) if np.ndim(value) == 0 else value
 
     @property
     def speed(self) -> float:
@@ -176,7 +176,8 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         hx_args = hx_args if isinstance(hx_args, tuple) else (hx_args,)
         H = np.atleast_2d(HJacobian(self.x, *args))
         R = self.R if R is None else R
-        R = np.eye(len(H)) * R if np.isscalar(R) else np.asarray(R, dtype=float)
+        R = np.asarray(R, dtype=float)
+        R = np.eye(len(H)) * R if R.ndim == 0 else R
         if np.count_nonzero(R - np.diag(np.diag(R))):
             raise ValueError("R is not diagonal: decorrelate the measurement first")
         y = np.asarray(residual(np.asarray(z), Hx(self.x, *hx_args)), dtype=float).reshape(-1, 1)

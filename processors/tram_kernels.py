@@ -110,7 +110,8 @@ def acceleration(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) 
     rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
     lever = -(wy * wy + wz * wz) * rx + wx * wy * ry + wx * wz * rz + u[7] * rz - u[8] * ry
     force = u[3] + x[Ix.MOUNT_PITCH] * u[5] - x[Ix.MOUNT_YAW] * u[4] - x[Ix.ACCEL_X]
-    return force - gravity - lever
+    change: float = force - gravity - lever
+    return change
 
 
 @compiled
@@ -119,7 +120,8 @@ def heaving(x: Array, c: Array, u: Array, wx: float, wy: float, wz: float) -> fl
     gravity = c[Pm.GRAVITY] * math.cos(x[Ix.PITCH]) * math.cos(x[Ix.ROLL])
     rx, ry, rz = c[Pm.IMU_X] + x[Ix.PIVOT], c[Pm.IMU_Y], c[Pm.IMU_Z]
     lever = wx * wz * rx + wy * wz * ry - (wx * wx + wy * wy) * rz + u[6] * ry - u[7] * rx
-    return u[5] - x[Ix.ACCEL_Z] - gravity - lever + x[Ix.SPEED] * wy
+    change: float = u[5] - x[Ix.ACCEL_Z] - gravity - lever + x[Ix.SPEED] * wy
+    return change
 
 
 @compiled

@@ -182,10 +182,11 @@ def tie(m: Array, c: Array, wheel: int, variance: float) -> None:
 def counted(m: Array, c: Array, wheel: int) -> float:
     """Give the path since its last reading that a wheel's counter should show now."""
     x = m[STATE]
-    v, delay = x[Ix.SPEED], x[Ix.WHEEL_DELAY]
+    path, sign, scale = x[Ix.PATH_A], c[Pm.SIGN_A], x[Ix.SCALE_A]
     if wheel == 1:
-        return x[Ix.PATH_B] - c[Pm.SIGN_B] * v * delay * (1.0 + x[Ix.SCALE_B])
-    return x[Ix.PATH_A] - c[Pm.SIGN_A] * v * delay * (1.0 + x[Ix.SCALE_A])
+        path, sign, scale = x[Ix.PATH_B], c[Pm.SIGN_B], x[Ix.SCALE_B]
+    shown: float = path - sign * x[Ix.SPEED] * x[Ix.WHEEL_DELAY] * (1.0 + scale)
+    return shown
 
 
 @compiled
@@ -278,4 +279,5 @@ def inertial(m: Array, c: Array, u: Array, steady: Array, gate: float) -> float:
     if c[Pm.VERTICAL_DENSITY] > 0.0:
         row(m, 1)[0] = 1.0
         take(m, 1, _HEAVE, 1, -x[Ix.HEAVE], c[Pm.HEAVE_VARIANCE], math.inf)
-    return y * y / S
+    distance: float = y * y / S
+    return distance

@@ -185,7 +185,8 @@ class Navigation:
         verdicts: list[Verdict] = []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
         if gnss or odometry:
-            for measurement in sorted((*gnss, *odometry), key=_stamp):
+            measurements: list[Any] = sorted((*gnss, *odometry), key=_stamp)
+            for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
                 if not self._of(stamp_ns, frame_ns):
                     continue

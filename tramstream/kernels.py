@@ -35,9 +35,10 @@ def compiled(function: F) -> F:
     No fast-math: NaN must stay NaN, and two machines of a kind must agree to the bit.
     """
     jitted = numba.njit(error_model="numpy")(function)
-    others, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _FOLDER
+    settings: Any = numba.config  # a module, but its attributes come and go
+    others, settings.CACHE_DIR = settings.CACHE_DIR, _FOLDER
     jitted.enable_caching()
-    numba.config.CACHE_DIR = others
+    settings.CACHE_DIR = others
     return cast(F, jitted)
 
 
