@@ -75,7 +75,7 @@ class Drive:
             if self.imu:
                 u = self.reading()
                 u[3] += push_mps2
-            said.append(self.standstill.step(stamp_ns, u, STEP_S, speed_mps, speed_std_mps, 0.0))
+            said.append(self.standstill.step(stamp_ns, u, STEP_S, speed_mps, speed_std_mps**2, 0.0))
         return said
 
     def settled(self, said: list[bool], settled_s: float = SETTLED_S) -> set[bool]:
