@@ -122,6 +122,11 @@ def _plain(
 ) -> dict[str, Any]:
     """Without NaN, which JSON does not have."""
 
+    def ride(each: Figures) -> dict[str, Any]:
+        fields = each._asdict()
+        del fields["nees_series"]
+        return fields
+
     totals = study.overall(figures)
     filtered = {_kind(each): each for each in totals if each.model == TramLocaliser.name}
 
@@ -144,7 +149,7 @@ def _plain(
         "work": NAME,
         "published": PUBLISHED,
         "overall": [overall(each) for each in totals],
-        "rides": [clean({**each._asdict(), "consistent": each.consistent}) for each in figures],
+        "rides": [clean(ride(each)) for each in figures],
         "missing_rides": missing,
         "elapsed_s": elapsed_s,
     }
@@ -163,10 +168,10 @@ def _print(console: Console, kind: str, figures: list[Figures], least: Bound | N
             for ride in rides:
                 table.add_row("raw GNSS", str(ride.seed), f"{ride.gnss_p90_m:.3f}")
             table.add_row("raw GNSS", "all", f"{total.gnss_p90_m:.3f}")
-        for ride in rides:
-            verdict = "ok" if ride.consistent else "no"
+        for ride, consistent in zip(rides, total.consistent, strict=True):
+            verdict = "ok" if consistent else "no"
             table.add_row(ride.model, str(ride.seed), *_numbers(ride, verdict))
-        verdict = f"{total.consistent_rides}/{total.rides}"
+        verdict = f"{sum(total.consistent)}/{total.rides}"
         table.add_row(total.model, "all", *_numbers(total, verdict))
         if total.model == study.SMOOTHED:
             (filtered,) = (each for each in totals if each.model == TramLocaliser.name)

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from tramstream import consistency, evaluation, keys, line_geojson, scenario
+from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.consistency import NEES_SLOTS, Protection
 from tramstream.evaluation import MotionErrors
@@ -97,15 +98,11 @@ class Figures(NamedTuple):
     yaw_rms_deg: float
     nees: float
     """Of the position: 2 in the mean where the covariance is right."""
-    nees_low: float
-    nees_high: float
+    nees_series: Array
+    """The same second by second."""
     exceeded_along_share: float | None
     """Of the time that the true error is beyond the protection level."""
     exceeded_across_share: float | None
-
-    @property
-    def consistent(self) -> bool:
-        return self.nees_low <= self.nees <= self.nees_high
 
 
 def line_of(source: str) -> Line:
@@ -283,7 +280,9 @@ def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
 def _figures(case: Case, simulation: Simulation, said: _Said, raw: MotionErrors) -> Figures:
     states = said.states(simulation.line.level)
     errors = evaluation.errors(states, _truth_at(simulation, states.stamp_ns))
-    nees = consistency.nees(errors, NEES_SLOTS["position"])
+    nees = consistency.nees_series(errors, NEES_SLOTS["position"])
+    second = errors.stamp_ns // S
+    first_of_second = np.flatnonzero(np.diff(second, prepend=0) * np.isfinite(nees))
     protection: Protection | None = consistency.protection(errors)
     exceeded = protection.exceeded_share if protection else (None, None)
 
@@ -305,9 +304,8 @@ def _figures(case: Case, simulation: Simulation, said: _Said, raw: MotionErrors)
         speed_std_mps=figure(errors.speed_mps, "std"),
         speed_mean_mps=figure(errors.speed_mps, "mean"),
         yaw_rms_deg=float(np.degrees(figure(errors.yaw_rad, "rms"))),
-        nees=nees.mean if nees else float("nan"),
-        nees_low=nees.bounds.low if nees else float("nan"),
-        nees_high=nees.bounds.high if nees else float("nan"),
+        nees=float(np.nanmean(nees)),
+        nees_series=nees[first_of_second],
         exceeded_along_share=exceeded[0],
         exceeded_across_share=exceeded[1],
     )
@@ -329,7 +327,11 @@ class Overall:
     speed_std_mps: float
     yaw_rms_deg: float
     nees: float
-    consistent_rides: int
+    nees_low: float
+    """Where that of a ride is in 95 % of all if the covariance is right,"""
+    nees_high: float
+    consistent: tuple[bool, ...]
+    """whether it is, ride by ride."""
     exceeded_along_share: float | None
     exceeded_across_share: float | None
 
@@ -351,6 +353,9 @@ def _overall(rides: list[Figures]) -> Overall:
         return float(np.sqrt(np.mean(values**2)) if name in _SQUARED else values.mean())
 
     first = rides[0]
+    series = [each.nees_series for each in rides]
+    effective = len(series[0]) / consistency.autocorrelation_time(*series)
+    bounds = consistency.mean_bounds(len(NEES_SLOTS["position"]), effective, len(rides))
     known = first.exceeded_along_share is not None
     return Overall(
         model=first.model,
@@ -365,7 +370,9 @@ def _overall(rides: list[Figures]) -> Overall:
         speed_std_mps=mean("speed_std_mps"),
         yaw_rms_deg=mean("yaw_rms_deg"),
         nees=mean("nees"),
-        consistent_rides=sum(each.consistent for each in rides),
+        nees_low=bounds.low,
+        nees_high=bounds.high,
+        consistent=tuple(each.nees in bounds for each in rides),
         exceeded_along_share=mean("exceeded_along_share") if known else None,
         exceeded_across_share=mean("exceeded_across_share") if known else None,
     )

@@ -119,6 +119,20 @@ def test_bounds_hold_the_mean_of_correlated_errors_as_often_as_they_say(phi, n):
     assert COVERAGE[0] <= held / RUNS <= COVERAGE[1]
 
 
+def test_bounds_of_several_short_rides_rest_on_all_of_them() -> None:
+    """Worth 8 independent samples each; one ride alone could not tell its own bounds.
+
+    They are a little wide: the mean of so few scatters less than the limit of many says.
+    """
+    rng = np.random.default_rng(8)
+    rides, runs, held = 10, RUNS // 5, 0
+    for _ in range(runs):
+        series = [(autoregressive(rng, 800, 0.99, 2) ** 2).sum(axis=1) for _ in range(rides)]
+        bounds = mean_bounds(2, 800 / autocorrelation_time(*series), rides)
+        held += sum(float(each.mean()) in bounds for each in series)
+    assert 0.95 <= held / runs / rides <= 0.985
+
+
 def test_bounds_that_took_correlated_samples_for_independent_would_be_wrong():
     rng = np.random.default_rng(8)
     series = [(autoregressive(rng, 4000, 0.98, 2) ** 2).sum(axis=1) for _ in range(200)]

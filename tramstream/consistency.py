@@ -14,6 +14,7 @@ sample mean takes about τ/n from every ρ(k); Wolff's factor 1 + (2M + 1)/n giv
 estimate: its relative variance is 4 (M + ½ − τ/2)/n, about 8τ/n with this window, that of a
 variance from ν = (n/τ)/4 degrees of freedom. So the quantiles are taken where Student's t with ν
 degrees of freedom has the tail asked for, and short rides get the wide bounds that they deserve.
+Where there are several rides of a kind, τ is that of all of them together, about the mean of all.
 
 References
 ----------
@@ -116,23 +117,24 @@ def chi_square_interval(degrees: float, tail: float = (1.0 - CONFIDENCE) / 2.0) 
     return Interval(2.0 * float(low), 2.0 * float(high))
 
 
-def autocorrelation_time(series: Array) -> float:
-    """Integrated autocorrelation time of a series, in samples; see the top of the module.
+def autocorrelation_time(*series: Array) -> float:
+    """Integrated autocorrelation time of one process, in samples; see the top of the module.
 
-    At least 1 (alternating series are treated as white) and at most the length of the series,
-    which is also the answer for one that never changes.
+    At least 1 (alternating series are treated as white) and at most the length of the shortest
+    series, which is also the answer for those that never change.
     """
-    n = len(series)
-    deviation = series - series.mean()
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(deviation, size)) ** 2
+    n = min(len(each) for each in series)
+    size = 1 << (2 * max(len(each) for each in series) - 1).bit_length()
+    total = sum(len(each) for each in series)
+    mean = sum(float(each.sum()) for each in series) / total
+    spectrum = np.sum([np.abs(np.fft.rfft(each - mean, size)) ** 2 for each in series], axis=0)
     covariance = np.fft.irfft(spectrum, size)[:n]
     if covariance[0] <= 0.0 or n < 3:
         return float(n)
     tau = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
     far = np.arange(n) >= WINDOW * tau
     window = int(far.argmax()) if far.any() else n - 1
-    corrected = float(tau[window]) * (1.0 + (2 * window + 1) / n)
+    corrected = float(tau[window]) * (1.0 + (2 * window + 1) / total)
     return min(max(corrected, 1.0), float(n))
 
 
@@ -194,9 +196,12 @@ def nees(errors: Errors, slots: Sequence[Slot]) -> Nees | None:
     )
 
 
-def mean_bounds(dimensions: int, effective: float) -> Interval:
-    """Interval of the mean of χ² samples worth `effective` independent ones, itself an estimate."""
-    student = stdtrit(max(effective / 4.0, 1.0), (1.0 - CONFIDENCE) / 2.0)
+def mean_bounds(dimensions: int, effective: float, series: int = 1) -> Interval:
+    """Interval of the mean of χ² samples worth `effective` independent ones.
+
+    That is an estimate itself, made from so many series of such a length.
+    """
+    student = stdtrit(max(series * effective / 4.0, 1.0), (1.0 - CONFIDENCE) / 2.0)
     low, high = chi_square_interval(dimensions * effective, float(ndtr(student)))
     return Interval(low / effective, high / effective)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from tramstream.processors import kaspar2023_study as study
@@ -30,8 +31,7 @@ def figures(**changes: object) -> Figures:
         "speed_mean_mps": 0.0,
         "yaw_rms_deg": 0.1,
         "nees": 2.0,
-        "nees_low": 1.5,
-        "nees_high": 2.5,
+        "nees_series": np.random.default_rng(1).chisquare(2.0, 200),
         "exceeded_along_share": 0.0,
         "exceeded_across_share": 0.0,
     }
@@ -60,7 +60,9 @@ def test_same_ride_gives_every_model_the_same_fixes_and_the_same_figures_again()
     assert [each.model for each in first] == ["tram", study.SMOOTHED, "kaspar2023"]
     assert len({each.gnss_p90_m for each in first}) == 1
     for one, other in zip(first, second, strict=True):
-        assert one._replace(step_us=0.0) == other._replace(step_us=0.0)
+        blank = {"step_us": 0.0, "nees_series": np.empty(0)}
+        assert str(one._replace(**blank)) == str(other._replace(**blank))
+        np.testing.assert_array_equal(one.nees_series, other.nees_series)
         if one.model != study.SMOOTHED:
             assert one.steps == pytest.approx(100 * SHORT_S, abs=50)
         assert 0.1 < one.gnss_p90_m < 3.0
@@ -81,8 +83,9 @@ def test_seeds_are_summed_up_by_model_and_kind() -> None:
     assert tram.position_p90_m == pytest.approx(0.6)
     assert tram.along_rms_m == pytest.approx(math.sqrt((9.0 + 16.0) / 2.0))
     assert tram.nees == pytest.approx(2.5)
-    assert tram.consistent_rides == 1
-    assert (kaspar.model, kaspar.consistent_rides) == ("kaspar2023", 0)
+    assert tram.nees_low < 2.0 < tram.nees_high
+    assert tram.consistent == (True, False)
+    assert (kaspar.model, kaspar.consistent) == ("kaspar2023", (False,))
     assert one_wheel.kind == study.ONE
     assert one_wheel.exceeded_along_share is None
 
