@@ -116,6 +116,8 @@ class Standstill:
         self.since_ns = 0
         """Start of the present state."""
         self._statistics = np.zeros((2, 6))
+        self.noise = self._statistics[1]
+        """Variance of rates and specific forces in the last moments, shape (6,)."""
         self._learned = np.zeros(3)
         self._started = False
         self._last_ns = 0  # inertial reading
@@ -125,12 +127,6 @@ class Standstill:
         self._gnss_mps = math.inf
         self._gnss_ns = 0
         self._fast_ns = 0  # since when that has been fast
-
-    @property
-    def noise(self) -> Array:
-        """Variance of rates and specific forces in the last moments, shape (6,)."""
-        variance: Array = self._statistics[1]
-        return variance
 
     @property
     def speed_over_ground_mps(self) -> float:
@@ -218,11 +214,15 @@ class Standstill:
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        return {name: np.copy(v) if name in _ARRAYS else v for name, v in vars(self).items()}
+        plain = {name: v for name, v in vars(self).items() if not isinstance(v, np.ndarray)}
+        return plain | {name: getattr(self, name).copy() for name in _ARRAYS}
 
     def restore(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
-            setattr(self, name, np.array(value) if name in _ARRAYS else value)
+            if name in _ARRAYS:
+                getattr(self, name)[:] = value
+            else:
+                setattr(self, name, value)
 
 
 _ARRAYS = ("_statistics", "_learned")

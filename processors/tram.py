@@ -32,6 +32,7 @@ from tramstream.processors.tram_estimate import (
     plain,
     without_heading,
 )
+from tramstream.processors.tram_filter import GYRO_Z, SPEED, SPEED_VARIANCE
 from tramstream.processors.tram_fixes import antenna_l, doubts, unusable, velocity
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
@@ -115,11 +116,7 @@ class TramLocaliser:
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
-        if navigation.fixes.hopeless:
-            self._begin_again("the position was taken from the fixes again and again")
-            return None
-        if self._far_ns[0] and self._began_elsewhere():
-            self._begin_again("fixes stay far away from where the ride began")
+        if frame.gnss and self._is_lost(navigation):
             return None
         self._last = self._estimate(navigation, standing, verdicts)
         return self._last
@@ -147,10 +144,12 @@ class TramLocaliser:
         counted_m = 0.0
         for reading in frame.odometry:
             counted_m += self._count(reading)
-        ekf, stamp_ns = navigation.ekf, self._stamp_ns
-        speed, variance = (ekf.speed, ekf.speed_variance) if self._aligned else (math.nan, 0.0)
-        u = navigation.inputs[1] if self._inertial else None
-        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, ekf.gyro_bias_z)
+        numbers, stamp_ns = navigation.ekf.numbers, self._stamp_ns
+        speed, variance = math.nan, 0.0
+        if self._aligned:
+            speed, variance = numbers[SPEED], numbers[SPEED_VARIANCE]
+        u = navigation.reading if self._inertial else None
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, numbers[GYRO_Z])
         if not standing:
             heard = stamp_ns - self._wheels_ns < HEARD_S * S
             self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
@@ -272,6 +271,16 @@ class TramLocaliser:
         self._parked = None
 
     # Another beginning ---------------------------------------------------------------------------
+    def _is_lost(self, navigation: Navigation) -> bool:
+        """Whether the fixes say that all was wrong: then all begins anew."""
+        if navigation.fixes.hopeless:
+            self._begin_again("the position was taken from the fixes again and again")
+        elif self._began_elsewhere():
+            self._begin_again("fixes stay far away from where the ride began")
+        else:
+            return False
+        return True
+
     def _begin_again(self, sentence: str) -> None:
         """Forget everything."""
         self._complaints.append(f"{sentence}; the filter begins anew")

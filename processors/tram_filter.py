@@ -37,9 +37,11 @@ READING_S = 0.01
 """What one inertial mean of the fusion horizon lasts."""
 LOG_2PI = math.log(2.0 * math.pi)
 
+SPEED, GYRO_Z = int(Ix.SPEED), int(Ix.GYRO_Z)
+SPEED_VARIANCE = kernels.COVARIANCE.start + SPEED * (SIZE + 1)
+"""Where they are in the memory; a name of `Ix` takes longer than what is read with it."""
+
 _COLUMNS = np.arange(SIZE)
-_SPEED, _GYRO_Z = int(Ix.SPEED), int(Ix.GYRO_Z)
-_SPEED_VARIANCE = kernels.COVARIANCE.start + _SPEED * (SIZE + 1)
 _FIX, _VELOCITY = (
     ("gnss_east", "gnss_north", "gnss_up"),
     ("gnss_velocity_east", "gnss_velocity_north"),
@@ -93,8 +95,8 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
     def __init__(self, c: Array) -> None:
         self.memory = np.zeros(kernels.MEMORY)
-        # Single numbers are read from here: that takes half as long as out of an array.
-        self._numbers = self.memory.data
+        self.numbers = self.memory.data
+        """The same memory; a single number is read in a third of the time."""
         self._x = self.memory[kernels.STATE].reshape(SIZE, 1)
         self._P = self.memory[kernels.COVARIANCE].reshape(SIZE, SIZE)
         super().__init__(dim_x=SIZE, dim_z=1)
@@ -122,23 +124,6 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     @P.setter
     def P(self, value: Any) -> None:
         self._P[:] = np.eye(SIZE) * float(value) if np.ndim(value) == 0 else value
-
-    @property
-    def speed(self) -> float:
-        """Along x, m/s."""
-        speed: float = self._numbers[_SPEED]
-        return speed
-
-    @property
-    def speed_variance(self) -> float:
-        variance: float = self._numbers[_SPEED_VARIANCE]
-        return variance
-
-    @property
-    def gyro_bias_z(self) -> float:
-        """Of the vertical gyroscope, rad/s."""
-        bias: float = self._numbers[_GYRO_Z]
-        return bias
 
     @property
     def log_likelihood(self) -> float:

@@ -59,7 +59,7 @@ class Navigation:
         self.stamp_ns = 0
         self.inputs = np.zeros((4, 10))
         """Inertial reading before, now, and what acts between them."""
-        self._reading, self._between = self.inputs[1], self.inputs[2]
+        self.reading, self._between = self.inputs[1], self.inputs[2]
         self._shaking, self._steady = self.inputs[3, 3:6], self.inputs[3, 6:9]
         self.complaints: list[str] = []
         imu = vehicle.imu
@@ -198,8 +198,8 @@ class Navigation:
                 ekf.stop()
             return verdicts
         if standing:
-            self._stand(self._reading, noise)
-        verdict = ekf.inertial(self._reading, self._steady)
+            self._stand(self.reading, noise)
+        verdict = ekf.inertial(self.reading, self._steady)
         if verdict is not None:
             verdicts.append(verdict)
         return verdicts

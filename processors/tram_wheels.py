@@ -15,7 +15,7 @@ from typing import Any
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.localisation import Verdict
-from tramstream.processors.tram_filter import QUANTISATION, TramFilter
+from tramstream.processors.tram_filter import QUANTISATION, SPEED, TramFilter
 from tramstream.processors.tram_states import Ix, Pm
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -214,7 +214,7 @@ class WheelPair:
     def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
         pause_s = (stamp_ns - wheel.stamp_ns) / S
         way = self._count(wheel, pulses, stamp_ns)
-        speed = ekf.speed
+        speed: float = ekf.numbers[SPEED]
         variance = self._pulse_variance + speed**2 * self._stamp_variance
         if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             self._begin(wheel, stamp_ns, variance, ekf)

@@ -22,7 +22,7 @@ import fcntl
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -187,7 +187,7 @@ class _Sender:
         self._expected: list[_Expected] = []
 
     def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
-        self._groups.append((session, log_ns, [_encoded(*each) for each in outputs]))
+        self._groups.append((session, log_ns, _encoded(outputs)))
         if len(self._groups) >= GATHERED:
             self._flush()
 
@@ -229,12 +229,12 @@ def _follow(
         while (groups := _receive(source, READING)) is not None:
             sink.send(
                 [
-                    [_encoded(*each) for each in followers.step(session, list(map(_sample, made)))]
+                    _encoded(followers.step(session, [_sample(*each) for each in made]))
                     for session, made in groups
                 ]
             )
         said = _smoothed(smoothers)
-        while states := [_encoded(*each) for each in islice(said, GATHERED)]:
+        while states := _encoded(islice(said, GATHERED)):
             sink.send(states)
         sink.send(None)
     except BrokenPipeError:
@@ -335,8 +335,8 @@ def _receive(source: Connection, doing: str) -> Any:
     return received
 
 
-def _encoded(sample: Sample, payload: bytes) -> _Encoded:
-    return sample.key.path, payload, sample.stamp_ns, sample.sequence
+def _encoded(outputs: Iterable[Output]) -> list[_Encoded]:
+    return [(each.key.path, payload, each.stamp_ns, each.sequence) for each, payload in outputs]
 
 
 def _output(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
@@ -344,8 +344,7 @@ def _output(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
     return Sample(_key(path), None, stamp_ns, sequence), payload
 
 
-def _sample(encoded: _Encoded) -> Sample:
-    path, payload, stamp_ns, sequence = encoded
+def _sample(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Sample:
     key = _key(path)
     return Sample(key, key.type.FromString(payload), stamp_ns, sequence)
 
