@@ -12,7 +12,6 @@ from tramstream.config import Vehicle
 from tramstream.kernels import Array
 from tramstream.localisation import VALUES
 from tramstream.processors import ahead_kernels
-from tramstream.processors import tram_frames as frames
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_filter import TramFilter
 from tramstream.proto.sync_pb2 import ImuMean
@@ -45,17 +44,27 @@ class Ahead:
         """Take a mean, unless there is a newer one already, or it cannot be."""
         stamp_ns = mean.stamp_ns
         dt = (stamp_ns - self._last_ns) / S
-        readings = frames.readings(mean)
-        if readings is None or dt <= 0.0:
+        if dt <= 0.0:
             return
         if dt > MAX_STEP_S:
             dt = 0.0
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))
-        index = len(self._stamps_ns)
-        ahead_kernels.keep(self._readings, index, self._inputs, self._C_vb, *readings, dt)
-        self._last_ns = stamp_ns
-        self._stamps_ns.append(stamp_ns)
+        if ahead_kernels.keep(
+            self._readings,
+            len(self._stamps_ns),
+            self._inputs,
+            self._C_vb,
+            mean.gyro_x_radps,
+            mean.gyro_y_radps,
+            mean.gyro_z_radps,
+            mean.accel_x_mps2,
+            mean.accel_y_mps2,
+            mean.accel_z_mps2,
+            dt,
+        ):
+            self._last_ns = stamp_ns
+            self._stamps_ns.append(stamp_ns)
 
     def _drop(self, count: int) -> None:
         kept = len(self._stamps_ns) - count

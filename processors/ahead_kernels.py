@@ -44,12 +44,14 @@ def keep(
     ay: float,
     az: float,
     dt: float,
-) -> None:
+) -> bool:
     """Read as `read` does, and put what acts since the reading before, and how long, in a row."""
-    read(inputs, C_vb, gx, gy, gz, ax, ay, az, dt)
+    if not read(inputs, C_vb, gx, gy, gz, ax, ay, az, dt):
+        return False
     for k in range(10):
         readings[index, k] = inputs[2, k]
     readings[index, READING - 1] = dt
+    return True
 
 
 @compiled

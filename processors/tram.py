@@ -116,7 +116,11 @@ class TramLocaliser:
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
-        if frame.gnss and self._is_lost(navigation):
+        if navigation.fixes.hopeless:
+            self._begin_again("the position was taken from the fixes again and again")
+            return None
+        if self._far_ns[0] and self._began_elsewhere():
+            self._begin_again("fixes stay far away from where the ride began")
             return None
         self._last = self._estimate(navigation, standing, verdicts)
         return self._last
@@ -144,12 +148,10 @@ class TramLocaliser:
         counted_m = 0.0
         for reading in frame.odometry:
             counted_m += self._count(reading)
-        numbers, stamp_ns = navigation.ekf.numbers, self._stamp_ns
-        speed, variance = math.nan, 0.0
-        if self._aligned:
-            speed, variance = numbers[SPEED], numbers[SPEED_VARIANCE]
+        n, stamp_ns = navigation.ekf.numbers, self._stamp_ns
+        speed, variance = (n[SPEED], n[SPEED_VARIANCE]) if self._aligned else (math.nan, 0.0)
         u = navigation.reading if self._inertial else None
-        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, numbers[GYRO_Z])
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, n[GYRO_Z])
         if not standing:
             heard = stamp_ns - self._wheels_ns < HEARD_S * S
             self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
@@ -271,16 +273,6 @@ class TramLocaliser:
         self._parked = None
 
     # Another beginning ---------------------------------------------------------------------------
-    def _is_lost(self, navigation: Navigation) -> bool:
-        """Whether the fixes say that all was wrong: then all begins anew."""
-        if navigation.fixes.hopeless:
-            self._begin_again("the position was taken from the fixes again and again")
-        elif self._began_elsewhere():
-            self._begin_again("fixes stay far away from where the ride began")
-        else:
-            return False
-        return True
-
     def _begin_again(self, sentence: str) -> None:
         """Forget everything."""
         self._complaints.append(f"{sentence}; the filter begins anew")

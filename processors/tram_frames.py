@@ -15,7 +15,6 @@ from tramstream.localisation import ACCELERATION, YAW_RATE
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_kernels import COVARIANCE, STATE, slots
 from tramstream.processors.tram_states import SIZE, Ix, Pm
-from tramstream.proto.sync_pb2 import ImuMean
 
 FASTEST_RADPS = 4.0
 HARDEST_MPS2 = 60.0
@@ -30,17 +29,6 @@ _OF_MOTION = localisation.COVARIANCE
 _MOVED = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
 
 
-def readings(mean: ImuMean) -> tuple[float, float, float, float, float, float] | None:
-    """Give the rates and specific forces of a mean; None if they cannot be."""
-    gx, gy, gz = mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps
-    ax, ay, az = mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2
-    # Comparisons with what is no number are false.
-    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
-    if turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2:
-        return gx, gy, gz, ax, ay, az
-    return None
-
-
 @compiled
 def read(
     inputs: Array,
@@ -52,8 +40,10 @@ def read(
     ay: float,
     az: float,
     dt: float,
-) -> None:
+) -> bool:
     """Turn a reading of the case into the vehicle's axes, and remember the one before.
+
+    One that cannot be changes nothing: then False.
 
     Parameters
     ----------
@@ -65,6 +55,10 @@ def read(
     dt : float
         Between the two readings, s; 0 if there is none before.
     """
+    # Comparisons with what is no number are false.
+    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
+    if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
+        return False
     for k in range(10):
         inputs[0, k] = inputs[1, k]
     for i in range(3):
@@ -88,6 +82,7 @@ def read(
         inputs[3, 6 + k] += min(1.0, dt / STEADY_S) * (inputs[0, k] - inputs[3, 6 + k])
         inputs[3, 3 + k] += min(1.0, dt / SHAKING_S) * (0.5 * apart * apart - inputs[3, 3 + k])
     inputs[2, 9] = 1.0
+    return True
 
 
 @compiled

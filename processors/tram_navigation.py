@@ -122,26 +122,34 @@ class Navigation:
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
-        readings = frames.readings(mean)
-        if readings is None:
+        stamp_ns = mean.stamp_ns
+        dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
+        pause = dt > HELD_S
+        anew = pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0)
+        if not frames.read(
+            self.inputs,
+            self._C_vb,
+            mean.gyro_x_radps,
+            mean.gyro_y_radps,
+            mean.gyro_z_radps,
+            mean.accel_x_mps2,
+            mean.accel_y_mps2,
+            mean.accel_z_mps2,
+            0.0 if anew else dt,
+        ):
             self.complaints.append("an inertial reading that cannot be was left out")
             return False
-        dt = (mean.stamp_ns - self._read_ns) / S if self._read_ns else 0.0
-        pause = dt > HELD_S
-        if pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0):
-            frames.read(self.inputs, self._C_vb, *readings, 0.0)
+        self._read_ns = stamp_ns
+        if anew:
             self._blind.hold(self.inputs[2], self.ekf.memory)
             self._blind.begin(self.ekf.parameters)
+        elif pause:
+            self._blind.bridge(self.ekf.parameters, dt)
         else:
-            frames.read(self.inputs, self._C_vb, *readings, dt)
-            if pause:
-                self._blind.bridge(self.ekf.parameters, dt)
-            else:
-                if self._blind.active:
-                    self._blind.end(self.ekf.parameters)
-                if self._aliasing:
-                    self._shaken()
-        self._read_ns = mean.stamp_ns
+            if self._blind.active:
+                self._blind.end(self.ekf.parameters)
+            if self._aliasing:
+                self._shaken()
         return True
 
     def _shaken(self) -> None:
