@@ -136,14 +136,14 @@ def test_ride_is_repeated_across_a_crash(
     assert result.comparison.unanchored == 0
 
 
-@pytest.mark.parametrize("fresh", [False, True])
-def test_two_processes_write_the_bytes_of_one(
-    ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh: bool
+@pytest.mark.parametrize("option", ["check", "fresh", "smooth"])
+def test_several_processes_write_the_bytes_of_one(
+    ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str
 ) -> None:
     one, two = tmp_path / "1" / "out.mcap", tmp_path / "2" / "out.mcap"
     for out, cores in ((one, 1), (two, 2)):
         out.parent.mkdir()
-        assert again(monkeypatch, ride, out, cores, fresh=fresh).outputs > 2 * STEPS
+        assert again(monkeypatch, ride, out, cores, **{option: True}).outputs > 2 * STEPS
     assert one.read_bytes() == two.read_bytes()
 
 
