@@ -85,7 +85,7 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
 
 
 class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
-    """x (24, 1) and P (24, 24) of the model `tram`, in one block of memory.
+    """x (28, 1) and P (28, 28) of the model `tram`, in one block of memory.
 
     Parameters
     ----------
