@@ -23,15 +23,9 @@ from tramstream.config import Vehicle
 from tramstream.geodesy import LocalLevel
 from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.processor import State
+from tramstream.processors import tram_estimate as estimates
 from tramstream.processors.ahead import Ahead
 from tramstream.processors.standstill import Standstill
-from tramstream.processors.tram_estimate import (
-    at_fix,
-    estimate_of,
-    from_plain,
-    plain,
-    without_heading,
-)
 from tramstream.processors.tram_filter import GYRO_Z, SPEED, SPEED_VARIANCE
 from tramstream.processors.tram_fixes import antenna_l, doubts, unusable, velocity
 from tramstream.processors.tram_navigation import Navigation
@@ -67,6 +61,7 @@ class TramLocaliser:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._navigation: Navigation | None = None
+        self._lever_arm_m = vehicle.gnss.lever_arm_m if vehicle.gnss else (0.0, 0.0, 0.0)
         self._standstill = Standstill()
         self._aligned = False
         self._search: Search | None = None
@@ -302,19 +297,23 @@ class TramLocaliser:
     ) -> Estimate:
         mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
         ekf = navigation.ekf
-        estimate = estimate_of(ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts)
+        estimate = estimates.estimate_of(
+            ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts
+        )
         if self._aligned:
             return estimate
         fix = self._last_fix
         if fix is None or (standing and self._search is None):
-            return without_heading(estimate)
+            return estimates.without_heading(estimate, self._lever_arm_m)
         if self._search is not None and self._search.trying:
-            gnss = self._vehicle.gnss
-            return without_heading(estimate, math.hypot(*gnss.lever_arm_m[:2]) if gnss else 0.0)
+            return estimates.without_heading(estimate, self._lever_arm_m, of_antenna=False)
         speed_mps = self._standstill.speed_over_ground_mps
         std_m = math.hypot(navigation.accuracy_m(fix), self._way_m)
         age_s = (self._stamp_ns - fix.stamp_ns) / S
-        return at_fix(estimate, antenna_l(fix, navigation.level), std_m, speed_mps, min(age_s, 2.0))
+        antenna = antenna_l(fix, navigation.level)
+        return estimates.at_fix(
+            estimate, antenna, std_m, speed_mps, min(age_s, 2.0), self._lever_arm_m
+        )
 
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
@@ -327,7 +326,7 @@ class TramLocaliser:
         if not self._aligned:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
         values = self._ahead.predict(navigation.ekf, self._stamp_ns)
-        return Estimate(stamp_ns, last.mode, values, last.standing, [])
+        return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])
 
     def learned(self) -> list[Learned]:
         navigation = self._navigation
@@ -361,7 +360,7 @@ class TramLocaliser:
             "back_ns": list(self._back_ns),
             "far_ns": list(self._far_ns),
             "ahead": self._ahead.snapshot(),
-            "last": None if self._last is None else plain(self._last),
+            "last": None if self._last is None else estimates.plain(self._last),
             **{name: getattr(self, name) for name in _PLAIN},
         }
 
@@ -384,7 +383,7 @@ class TramLocaliser:
         self._last_fix = None if last is None else GnssFix.FromString(last)
         self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])
         self._ahead.restore(state["ahead"])
-        self._last = None if state["last"] is None else from_plain(state["last"])
+        self._last = None if state["last"] is None else estimates.from_plain(state["last"])
         for name in _PLAIN:
             setattr(self, name, state[name])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from tramstream.kernels import Array
 from tramstream.localisation import (
     ACCELERATION,
+    COVARIANCE,
     HEADING_UNKNOWN,
     VALUES,
     YAW_RATE,
@@ -19,8 +21,11 @@ from tramstream.localisation import (
     values_of,
 )
 from tramstream.processors import tram_frames as frames
+from tramstream.processors.tram_filter import STANDING_STD_MPS
 from tramstream.processors.tram_states import Ix
 
+SPEED_VARIANCE = COVARIANCE + int(Ix.SPEED) * 8
+"""In the values of an estimate, whose covariance has seven columns."""
 NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 """Of an angle that may be any."""
 
@@ -31,14 +36,39 @@ def estimate_of(
     """Give the motion of the vehicle's origin out of the filter's memory; see `say`."""
     values = np.empty(VALUES)
     frames.say(m, c, mode != HEADING_UNKNOWN, values)
+    return of_values(values, stamp_ns, mode, standing, verdicts)
+
+
+def of_values(
+    values: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+) -> Estimate:
+    """Say so of a vehicle that stands that it may have begun to move, and nobody has seen it yet.
+
+    The filter itself takes a thousand readings of no speed for as many proofs.
+    """
+    if standing:
+        values[SPEED_VARIANCE] += STANDING_STD_MPS**2
     return Estimate(stamp_ns, mode, values, standing, verdicts)
 
 
-def without_heading(estimate: Estimate, lever_m: float = 0.0) -> Estimate:
-    """Say of a vehicle that its heading is not known, and so not where it is about its antenna."""
+def without_heading(
+    estimate: Estimate, lever_arm_m: Sequence[float], of_antenna: bool = True
+) -> Estimate:
+    """Say of a vehicle that its heading is not known, and so not where it is about its antenna.
+
+    Parameters
+    ----------
+    lever_arm_m : sequence of 3 float
+        From the vehicle's origin to the antenna, frame v.
+    of_antenna : bool
+        Whether the estimate's position is the antenna's.
+    """
     said = replace(estimate, values=estimate.values.copy())
     motion, covariance = said.motion, said.covariance
-    covariance[:2, :2] += np.eye(2) * lever_m**2
+    x, y, z = lever_arm_m
+    covariance[:2, :2] += np.eye(2) * (x * x + y * y)
+    if of_antenna:
+        motion[Ix.UP] -= z
     motion[Ix.YAW] = said.values[ACCELERATION] = said.values[YAW_RATE] = 0.0
     covariance[Ix.YAW, :] = covariance[:, Ix.YAW] = 0.0
     covariance[Ix.YAW, Ix.YAW] = NO_HEADING_STD_RAD**2
@@ -51,13 +81,15 @@ def at_fix(
     std_m: float,
     speed_mps: float,
     age_s: float,
+    lever_arm_m: Sequence[float],
 ) -> Estimate:
     """Say of a vehicle that moves, with its heading unknown: where the last fix was."""
-    moved = without_heading(estimate)
+    moved = without_heading(estimate, lever_arm_m)
     covariance = moved.covariance
-    moved.motion[:4] = (*p_l, speed_mps)
+    x, y, z = lever_arm_m
+    moved.motion[:4] = (p_l[0], p_l[1], p_l[2] - z, speed_mps)
     covariance[:4, :] = covariance[:, :4] = 0.0
-    variance = std_m**2 + (speed_mps * age_s) ** 2
+    variance = std_m**2 + (speed_mps * age_s) ** 2 + x * x + y * y
     covariance[:4, :4] = np.diag([variance, variance, variance, max(1.0, speed_mps) ** 2])
     return moved
 

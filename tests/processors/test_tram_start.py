@@ -101,6 +101,31 @@ def test_in_motion_the_heading_is_known_after_a_few_fixes(seed: int) -> None:
     assert_found(errors)
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_antenna_is_not_taken_for_the_origin_while_the_heading_is_unknown(seed: int) -> None:
+    """Where the origin is about the antenna nobody knows yet; how far below it is known."""
+    lever_arm_m = (4.0, 0.5, 3.0)
+    chosen = city(gnss={"lever_arm_m": lever_arm_m})
+    errors = localised(ridden(laid(PLAN), chosen, seed, 20.0))
+    blind = errors.within(1.0, 11.5)
+    assert (blind.mode == HEADING_UNKNOWN).all()
+    claimed_m = np.sqrt(np.trace(blind.covariance[:, :2, :2], axis1=1, axis2=2))
+    assert (blind.horizontal_m < 1.5 * claimed_m).all()
+    assert (claimed_m > math.hypot(*lever_arm_m[:2])).all()
+    up_m = np.abs(blind.p_l[:, 2])
+    assert (up_m < 3.0 * np.sqrt(blind.covariance[:, 2, 2])).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_speed_of_a_vehicle_that_stands_is_not_claimed_to_be_none(seed: int) -> None:
+    """Its departure is seen when a wheel has turned, some tenths of a second later."""
+    ride = plain(seed)
+    errors = localised(ride).within(ride.arrival_s(2), ride.departure_s(2) + 5.0)
+    normal = errors.speed_mps / np.sqrt(errors.covariance[:, 3, 3])
+    assert errors.standing.any()
+    assert np.mean(normal**2) < 2.0
+
+
 def test_first_state_comes_with_the_first_valid_fix() -> None:
     chosen = city(events=(Tunnel(start_s=0.0, duration_s=8.5),), gnss={"reacquisition_s": 0.0})
     ride = ridden(laid(LINE), chosen, 1, 12.0)
