@@ -27,8 +27,9 @@ PINGS = 2000
 WARM_UP_S = 5.0
 """Before that processes are still importing and clocks are being fitted."""
 STEPS_HZ = 100.0
-CORE_PERCENT = {"processors": 10.0}
 """Rate of the fusion frames."""
+CORE_PERCENT = {"processors": 10.0}
+"""What a process may take at most, where that was asked for."""
 PING, PONG = keys.full("bench", "ping"), keys.full("bench", "pong")
 
 ECHO = """

@@ -12,6 +12,7 @@ from tramstream.config import Vehicle
 from tramstream.kernels import Array
 from tramstream.localisation import VALUES
 from tramstream.processors import ahead_kernels
+from tramstream.processors import tram_frames as frames
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_filter import TramFilter
 from tramstream.proto.sync_pb2 import ImuMean
@@ -50,19 +51,8 @@ class Ahead:
             dt = 0.0
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))
-        if ahead_kernels.keep(
-            self._readings,
-            len(self._stamps_ns),
-            self._inputs,
-            self._C_vb,
-            mean.gyro_x_radps,
-            mean.gyro_y_radps,
-            mean.gyro_z_radps,
-            mean.accel_x_mps2,
-            mean.accel_y_mps2,
-            mean.accel_z_mps2,
-            dt,
-        ):
+        index, reading = len(self._stamps_ns), frames.reading(mean)
+        if ahead_kernels.keep(self._readings, index, self._inputs, self._C_vb, *reading, dt):
             self._last_ns = stamp_ns
             self._stamps_ns.append(stamp_ns)
 

@@ -39,5 +39,6 @@ def compile_all() -> None:
 
 
 if __name__ == "__main__":
+    machine_code.clear()
     compile_all()
     machine_code.mark_complete()

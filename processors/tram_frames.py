@@ -15,6 +15,7 @@ from tramstream.localisation import ACCELERATION, YAW_RATE
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram_kernels import COVARIANCE, STATE, slots
 from tramstream.processors.tram_states import SIZE, Ix, Pm
+from tramstream.proto.sync_pb2 import ImuMean
 
 FASTEST_RADPS = 4.0
 HARDEST_MPS2 = 60.0
@@ -27,6 +28,18 @@ SHAKING_S = 0.3
 """Of what neighbouring rates differ by: a pothole is over after so long."""
 _OF_MOTION = localisation.COVARIANCE
 _MOVED = slots(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
+
+
+def reading(mean: ImuMean) -> tuple[float, float, float, float, float, float]:
+    """Give the numbers of a mean in the order in which `read` takes them."""
+    return (
+        mean.gyro_x_radps,
+        mean.gyro_y_radps,
+        mean.gyro_z_radps,
+        mean.accel_x_mps2,
+        mean.accel_y_mps2,
+        mean.accel_z_mps2,
+    )
 
 
 @compiled

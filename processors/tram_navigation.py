@@ -126,17 +126,8 @@ class Navigation:
         dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
         pause = dt > HELD_S
         anew = pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0)
-        if not frames.read(
-            self.inputs,
-            self._C_vb,
-            mean.gyro_x_radps,
-            mean.gyro_y_radps,
-            mean.gyro_z_radps,
-            mean.accel_x_mps2,
-            mean.accel_y_mps2,
-            mean.accel_z_mps2,
-            0.0 if anew else dt,
-        ):
+        lasts = 0.0 if anew else dt
+        if not frames.read(self.inputs, self._C_vb, *frames.reading(mean), lasts):
             self.complaints.append("an inertial reading that cannot be was left out")
             return False
         self._read_ns = stamp_ns

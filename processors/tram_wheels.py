@@ -30,8 +30,8 @@ WRONG_RAD = 0.01
 SLACK = 0.75
 LEAN = 10.0
 """Innovations whose sum, less so much each, comes to so many of their deviations lean to one side
-(Page's test): where they are white, once in days; a lean by 1.5 deviations is seen in a quarter of
-a second."""
+(Page's test): where they are white, once a day; a lean by 1.5 deviations is seen in a quarter of a
+second."""
 COMPANION = 0.3
 """A wheel that leans so much of it with another that has lost its grip has lost it too."""
 HELD_S = 2.0
@@ -62,18 +62,18 @@ class Wheel:
     stamp_ns: int = 0
     slipping: bool = False
     slip_ns: int = 0  # since when
-    agreed_ns: int = 0  # since when it agrees again
+    agreed_ns: int = 0  # since when it agrees again; later than now while it is not believed
     agreed_m: float = 0.0  # way since then
     refused: bool = False  # its last reading
     ahead: float = 0.0  # by how much its innovations lean forwards,
     behind: float = 0.0  # and backwards, in their deviations
+    signed: bool = False  # has counted down
+    down: int = 0  # readings in a row in which it has
 
     @property
     def lean(self) -> float:
+        """By how much its innovations lean, forwards positive."""
         return self.ahead if self.ahead > self.behind else -self.behind
-
-    signed: bool = False  # has counted down
-    down: int = 0  # readings in a row in which it has
 
 
 _SIGN = int(Pm.SIGN_A)

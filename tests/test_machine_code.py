@@ -12,12 +12,18 @@ import pytest
 from tramstream import machine_code
 
 WARM_START = """
+import numba
 from numba.core import event
 from tramstream.processors.compile_kernels import compile_all
 with event.install_recorder("numba:compile") as recorder:
     compile_all()
+    numba.njit(lambda: 0)()  # what is compiled is seen
 print([each.data["dispatcher"].__name__ for _, each in recorder.buffer if each.is_start])
 """
+
+
+def interrupt(_: str) -> None:
+    raise InterruptedError
 
 
 @pytest.mark.live
@@ -26,7 +32,7 @@ def test_warm_start_does_not_compile() -> None:
     done = subprocess.run(
         [sys.executable, "-c", WARM_START], capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "['<lambda>']"
 
 
 def test_folder_belongs_to_the_state_of_the_sources() -> None:
@@ -46,12 +52,20 @@ def test_folder_belongs_to_the_state_of_the_sources() -> None:
     after.rmdir()
 
 
-def test_machine_code_that_is_there_is_not_waited_for(
+def test_machine_code_that_is_whole_is_not_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     machine_code.folder.cache_clear()
     try:
+        machine_code.mark_complete()
+        machine_code.ensure(pytest.fail)
+        torn = machine_code.folder() / "kernel.nbi"
+        torn.touch()
+        with pytest.raises(InterruptedError):
+            machine_code.ensure(interrupt)
+        machine_code.clear()
+        assert not torn.exists()
         machine_code.mark_complete()
         machine_code.ensure(pytest.fail)
         for number in range(machine_code.KEPT + 2):

@@ -47,15 +47,31 @@ def folder() -> Path:
 
 def ensure(say: Callable[[str], None]) -> None:
     """See to it that all kernels are compiled; says so when that has to be waited for."""
-    if (folder() / _COMPLETE).exists():
+    if _whole():
         return
     say("compiling the filters for this machine; once, it takes about half a minute")
     subprocess.run([sys.executable, "-m", _COMPILER], check=True)
 
 
-def mark_complete() -> None:
-    """Remember that all kernels are there; forget folders of older sources."""
+def _whole() -> bool:
+    """Whether all kernels are there; a file that a power cut has emptied says that they are not."""
     here = folder()
+    return (here / _COMPLETE).exists() and all(
+        each.stat().st_size for each in here.rglob("*.nb?") if each.is_file()
+    )
+
+
+def clear() -> None:
+    """Remove what is there: a compilation that a power cut has ended leaves torn files."""
+    here = folder()
+    for each in (here / _COMPLETE, *here.rglob("*.nb?")):
+        each.unlink(missing_ok=True)
+
+
+def mark_complete() -> None:
+    """Remember that all kernels are there, on disk for good; forget folders of older sources."""
+    here = folder()
+    os.sync()
     (here / _COMPLETE).touch()
     others = sorted(
         (each for each in here.parent.iterdir() if each.is_dir() and each != here),

@@ -104,7 +104,7 @@ def test_in_motion_the_heading_is_known_after_a_few_fixes(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_antenna_is_not_taken_for_the_origin_while_the_heading_is_unknown(seed: int) -> None:
     """Where the origin is about the antenna nobody knows yet; how far below it is known."""
-    lever_arm_m = (4.0, 0.5, 3.0)
+    lever_arm_m = (4.0, 0.5, 6.0)
     chosen = city(gnss={"lever_arm_m": lever_arm_m})
     errors = localised(ridden(laid(PLAN), chosen, seed, 20.0))
     blind = errors.within(1.0, 11.5)
