@@ -1,0 +1,293 @@
+"""The track network of a city: where the rails lie, how they join, and what people call them.
+
+A **track** is a piece of rail between two nodes with no way off in between; it is *drawn* in one
+direction, which says nothing of where trams go. Running it as it is drawn is *forwards*. A **run**
+is a track with a direction: number 2 k is track k forwards, 2 k + 1 backwards. Rules (one-way use)
+say which runs are **edges**, where trams are meant to go; rails alone say which runs follow which,
+so a tram that goes where it should not is on the network all the same.
+
+Geometry is sampled evenly along each track, at most `SAMPLE_M` apart, from a smooth curve through
+the map's nodes: position, heading and curvature, each with the deviation that the curve has from
+the rail. The plan is that of `level`, in which every point lies at the level's own height; heights
+of track and vehicle never enter it (`plan_of`). So a plan is good to 1e-5 of a length for a city.
+
+A network is a file of numpy arrays (`numpy.load` opens it) and one of names; `network_build` makes
+it from maps.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tramstream.errors import ConfigError
+from tramstream.geodesy import LocalLevel
+
+Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int32]
+Bytes = NDArray[np.int8]
+
+SAMPLE_M = 1.0
+FORMAT = 1
+"""Raised whenever a file changes so that an older reader would misread it."""
+FORWARDS, BACKWARDS = 1, 2
+"""Bits of `Network.rules`."""
+PARTNER_LEFT, PARTNER_RIGHT = 1, 2
+"""Bits of `Network.partner`."""
+
+
+class Stop(NamedTuple):
+    """A stopping place on a track."""
+
+    name: str
+    track: int
+    chainage_m: float
+    """Along the track as drawn."""
+    ref: str = ""
+    """The operator's number of it, where the map has one."""
+
+
+class Way(NamedTuple):
+    """What the map says of a part of a track."""
+
+    track: int
+    from_m: float
+    to_m: float
+    """Along the track as drawn."""
+    osm_id: int
+    """0: not from OpenStreetMap."""
+    tags: dict[str, str]
+    """Those that matter to a tram, as the map has them."""
+
+
+class LineStop(NamedTuple):
+    """A stop of a line."""
+
+    name: str
+    chainage_m: float
+    """Along the line."""
+
+
+class RouteLine(NamedTuple):
+    """One direction of an operator's line as a path through the network."""
+
+    line: str
+    direction: str
+    origin: str
+    destination: str
+    runs: tuple[int, ...]
+    """In the order in which they are gone."""
+    begin_m: float
+    """Where the line begins on its first run, along that run."""
+    length_m: float
+    stops: tuple[LineStop, ...]
+
+
+@dataclass(frozen=True)
+class Network:
+    """See the module. Arrays are read-only; per-sample ones lie track after track."""
+
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    """Of the plan's origin, above the ellipsoid."""
+    starts: Integers
+    """First sample of each track, and the number of all: shape (tracks + 1,)."""
+    length_m: Array
+    """Of each track."""
+    rules: Bytes
+    """Of each track: bits FORWARDS and BACKWARDS, where trams are meant to go."""
+    from_node: Integers
+    to_node: Integers
+    """Of each track as drawn."""
+    node_id: NDArray[np.int64]
+    """Of each node, the map's own number; negative where the map has none."""
+    node_switch: Bytes
+    """Of each node: 1 where a run has a choice."""
+    following_starts: Integers
+    """By run, (2 tracks + 1,): where in `following` the runs begin that rails let follow it."""
+    following: Integers
+    east: Array
+    north: Array
+    yaw_rad: Array
+    """Of the track as drawn, counter-clockwise from the plan's east, continuous along a track."""
+    curvature_per_m: Array
+    """Left positive, of the track as drawn."""
+    across_std_m: Singles
+    yaw_std_rad: Singles
+    """Deviation of the fitted curve from the rail."""
+    height: Singles
+    """Above the ellipsoid, m; NaN where it is not known."""
+    grade_rad: Singles
+    """Uphill positive, of the track as drawn; NaN where it is not known."""
+    grade_std_rad: Singles
+    partner: Bytes
+    """Bits PARTNER_LEFT and PARTNER_RIGHT of the track as drawn: a parallel track within
+    `network_build.PARTNER_M` on that side."""
+    stops: tuple[Stop, ...] = ()
+    ways: tuple[Way, ...] = ()
+    """In order of tracks and chainage."""
+    lines: tuple[RouteLine, ...] = ()
+    source: str = ""
+    """What it was built from, when, and under which licence."""
+    node_std_m: float = 0.0
+    """Deviation of the map's nodes from the rail, per axis, as estimated or given."""
+
+    @property
+    def level(self) -> LocalLevel:
+        return LocalLevel(self.latitude_rad, self.longitude_rad, self.height_m)
+
+    @property
+    def track_count(self) -> int:
+        return len(self.length_m)
+
+    @property
+    def edges(self) -> Integers:
+        """Runs where trams are meant to go, ascending."""
+        allowed = np.stack([self.rules & FORWARDS, self.rules & BACKWARDS], axis=1).ravel()
+        found: Integers = np.flatnonzero(allowed).astype(np.int32)
+        return found
+
+    @property
+    def spacing_m(self) -> Array:
+        """Of the samples of each track."""
+        spacing: Array = self.length_m / (np.diff(self.starts) - 1)
+        return spacing
+
+    def following_of(self, run: int) -> Integers:
+        """Runs that rails let follow a run."""
+        begin, end = self.following_starts[run : run + 2]
+        return self.following[begin:end]
+
+    def samples_of(self, track: int) -> slice:
+        """Where the samples of a track lie."""
+        return slice(int(self.starts[track]), int(self.starts[track + 1]))
+
+    def name_of(self, run: int) -> str:
+        """What a run is called: the map's numbers of the nodes that it goes from and to."""
+        nodes = self.node_id[self.from_node[run >> 1]], self.node_id[self.to_node[run >> 1]]
+        begin, end = nodes if run % 2 == 0 else nodes[::-1]
+        return f"{begin}-{end}"
+
+    def plan_of(self, geodetic: ArrayLike) -> Array:
+        """Give places in the plan.
+
+        Parameters
+        ----------
+        geodetic : array_like, shape (2,), (3,), (n, 2) or (n, 3)
+            Latitude, longitude, rad; a height is not looked at.
+
+        Returns
+        -------
+        plan : ndarray, shape (2,) or (n, 2)
+            East, north, m.
+        """
+        rows = np.asarray(geodetic, dtype=float)
+        height = np.full((*rows.shape[:-1], 1), self.height_m)
+        plan: Array = self.level.from_geodetic(np.concatenate([rows[..., :2], height], axis=-1))
+        return plan[..., :2]
+
+    def geodetic_of(self, plan: ArrayLike) -> Array:
+        """Give latitude and longitude, rad, of places in the plan; the inverse of `plan_of`."""
+        rows = np.asarray(plan, dtype=float)
+        level, up = self.level, np.zeros((*rows.shape[:-1], 1))
+        for _ in range(3):  # up of a place that lies at the plan's height, away from its origin
+            found = level.to_geodetic(np.concatenate([rows, up], axis=-1))
+            up = up - (found[..., 2:] - self.height_m)
+        geodetic: Array = level.to_geodetic(np.concatenate([rows, up], axis=-1))[..., :2]
+        return geodetic
+
+    # Files ---------------------------------------------------------------------------------------
+    def save(self, path: Path) -> None:
+        """Write the network; an existing file is replaced at once or not at all."""
+        packed = io.BytesIO()
+        names: dict[str, Any] = {"format": FORMAT}
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+            for each in fields(self):
+                value = getattr(self, each.name)
+                if isinstance(value, np.ndarray):
+                    with archive.open(f"{each.name}.npy", "w") as file:
+                        np.lib.format.write_array(file, _packed(each.name, value))
+                else:
+                    names[each.name] = value
+            archive.writestr("names.json", json.dumps(names, ensure_ascii=False))
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("wb") as file:
+            file.write(packed.getvalue())
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+
+
+def load(path: Path) -> Network:
+    """Read a network.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file and what is wrong with it.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = json.loads(archive.read("names.json"))
+            if names.pop("format") != FORMAT:
+                raise ConfigError(
+                    f"{path}: was built by another version; build it anew with `tramstream map "
+                    "build`"
+                )
+            arrays = {}
+            for each in archive.namelist():
+                if each.endswith(".npy"):
+                    array = np.lib.format.read_array(io.BytesIO(archive.read(each)))
+                    arrays[each.removesuffix(".npy")] = array
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: is no track network; `tramstream map build` makes one"
+        ) from error
+    return Network(
+        **{name: _unpacked(name, array) for name, array in arrays.items()},
+        stops=tuple(Stop(*each) for each in names.pop("stops")),
+        ways=tuple(Way(*each) for each in names.pop("ways")),
+        lines=tuple(_line(each) for each in names.pop("lines")),
+        **names,
+    )
+
+
+def _line(row: list[Any]) -> RouteLine:
+    line = RouteLine(*row)
+    return line._replace(runs=tuple(line.runs), stops=tuple(LineStop(*each) for each in line.stops))
+
+
+_STEP = {"east": 1e-3, "north": 1e-3, "yaw_rad": 1e-6, "curvature_per_m": 1e-7}
+"""What a unit in the file is: samples are kept as differences of whole numbers, which pack to a
+fifth."""
+
+
+def _packed(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    step = _STEP.get(name)
+    if step is None:
+        return array
+    return np.diff(np.rint(array / step).astype(np.int64), prepend=0).astype(np.int32)
+
+
+def _unpacked(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    step = _STEP.get(name)
+    whole = array if step is None else np.cumsum(array, dtype=np.int64) * step
+    whole.flags.writeable = False
+    return whole
+
+
+def rule(forwards: bool, backwards: bool) -> int:
+    """Bits of `Network.rules`."""
+    return FORWARDS * forwards + BACKWARDS * backwards
