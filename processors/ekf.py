@@ -4,6 +4,9 @@ At the fusion horizon `est/ekf/state` is the filter with everything in it; `est/
 carried on to the newest inertial mean, a few milliseconds old, for whoever cannot wait. Which model
 does the work is `ekf.model`; this module owns messages, numbering, protection levels and what is
 said in health.
+
+With a map, each state is matched to a track in the same step, and the filter is put onto that track
+where no doubt is left: what comes back belongs to this very state, in every host.
 """
 
 from __future__ import annotations
@@ -21,10 +24,11 @@ from tramstream.config import Vehicle
 from tramstream.localisation import Estimate, Localiser
 from tramstream.place import Places
 from tramstream.processor import Processor, Sample, State
+from tramstream.processors.matched import Matched, location_of
 from tramstream.processors.models import localiser, traced
 from tramstream.processors.tram_smoother import smooth
 from tramstream.processors.tram_trace import Trace, TracedLocaliser
-from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter
+from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
 LOCATION_EVERY = 10
@@ -43,7 +47,15 @@ class LocalisationFilter(Processor):
 
     name = "ekf"
     inputs = (keys.SYNC_FRAME,)
-    outputs = (keys.EST_STATE, keys.EST_NOW, keys.EST_LOCATION, keys.EST_PARAMETERS, LOG)
+    outputs = (
+        keys.EST_STATE,
+        keys.EST_NOW,
+        keys.EST_LOCATION,
+        keys.EST_PARAMETERS,
+        keys.MAP_MATCH,
+        keys.MAP_LOCATION,
+        LOG,
+    )
     pacing = (keys.SYNC_FRAME,)
     demanding = True
 
@@ -55,6 +67,8 @@ class LocalisationFilter(Processor):
         self._quantile = MARGIN * NormalDist().inv_cdf(1.0 - risk / 4.0)
         self.localiser: Localiser = localiser(vehicle)
         self._places: Places | None = None
+        self._map = Matched(vehicle) if vehicle.map is not None else None
+        self._match_count = 0
         self._second = 0
         self._said: dict[str, int] = {}
         self._now_count = 0
@@ -91,6 +105,8 @@ class LocalisationFilter(Processor):
             message = self._message(estimate, self._here())
             if message is not None:
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
+                if self._map is not None:
+                    made += self._match(self._map, estimate)
             else:
                 made += self._start_again(sample.stamp_ns)
         second = sample.stamp_ns // S
@@ -99,6 +115,26 @@ class LocalisationFilter(Processor):
             made += self._learned(sample.stamp_ns)
         for sentence in self.localiser.complaints():
             made += self._say(sentence, sample.stamp_ns)
+        return made
+
+    def _match(self, with_map: Matched, estimate: Estimate) -> list[Sample]:
+        """Find the track, and put the filter onto it where there is no doubt left."""
+        level = self.localiser.level
+        assert level is not None  # there is an estimate
+        found = with_map.take(estimate, level)
+        made = []
+        if found is not None:
+            match, on_track = found
+            stamp_ns = estimate.stamp_ns
+            if on_track is not None:
+                self.localiser.constrain(on_track)
+            made.append(self.emit(keys.MAP_MATCH, match, stamp_ns))
+            if self._match_count % LOCATION_EVERY == 0 and match.state == MapMatch.ON_TRACK:
+                made.append(self.emit(keys.MAP_LOCATION, location_of(match), stamp_ns))
+            self._match_count += 1
+        for sentence in with_map.complaints:
+            made += self._say(sentence, estimate.stamp_ns)
+        with_map.complaints.clear()
         return made
 
     def _start_again(self, stamp_ns: int) -> list[Sample]:
@@ -187,6 +223,8 @@ class LocalisationFilter(Processor):
             "localiser": self.localiser.snapshot(),
             "second": self._second,
             "said": dict(self._said),
+            "map": None if self._map is None else self._map.snapshot(),
+            "match_count": self._match_count,
             "now_count": self._now_count,
             "now_ns": self._now_ns,
             "places": None if self._places is None else self._places.snapshot(),
@@ -199,6 +237,9 @@ class LocalisationFilter(Processor):
         self._now_count, self._now_ns = state["now_count"], state["now_ns"]
         self._places = None
         level = self.localiser.level
+        self._match_count = state["match_count"]
+        if self._map is not None and state["map"] is not None:
+            self._map.restore(state["map"], level)
         if state["places"] is not None and level is not None:
             self._places = Places(level)
             self._places.restore(state["places"])

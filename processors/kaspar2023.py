@@ -1,4 +1,4 @@
-"""The localisation filter of kaspar2023 behind the contract of every localiser, without its map.
+"""The localisation filter of kaspar2023 behind the contract of every localiser.
 
 Each frame is a step: prediction, then accelerometer along x and gyroscopes, wheels, fixes, each as
 it is there. As in the work, GNSS noise counts as white, nothing is gated, standing still is nothing
@@ -28,7 +28,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.localisation import Array, Estimate, Learned, Verdict, values_of
+from tramstream.localisation import Array, Estimate, Learned, OnTrack, Verdict, values_of
 from tramstream.processor import State
 from tramstream.processors import kaspar2023_model as model
 from tramstream.processors.kaspar2023_ahead import Ahead
@@ -138,6 +138,16 @@ class Kaspar2023Localiser:
             if self._usable(fix):
                 verdicts += self._take_fix(fix)
         return self._estimate(self._filter, frame.stamp_ns, verdicts)
+
+    def constrain(self, on_track: OnTrack) -> None:
+        """The work's map: the distance to the track, in normal form (errata of 3.35)."""
+        if not self._heading_known:
+            return
+        H = np.zeros((1, SIZE))
+        H[0, Ix.EAST], H[0, Ix.NORTH] = on_track.normal_east, on_track.normal_north
+        across = np.array([[on_track.across_m]])
+        R = np.array([[on_track.across_variance]])
+        self._filter.update(np.zeros((1, 1)), lambda _: H, lambda _: across, R)
 
     def see(self, mean: ImuMean) -> None:
         """See `tramstream.localisation.Localiser`."""

@@ -16,12 +16,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.geodesy import LocalLevel
-from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, Verdict
+from tramstream.localisation import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
 from tramstream.processor import State
 from tramstream.processors import tram_estimate as estimates
 from tramstream.processors.ahead import Ahead
@@ -31,7 +29,7 @@ from tramstream.processors.tram_fixes import antenna_l, doubts, unusable, veloci
 from tramstream.processors.tram_navigation import Navigation
 from tramstream.processors.tram_outage import Parked, Silence
 from tramstream.processors.tram_search import Search
-from tramstream.processors.tram_states import SIZE, UNITS, Ix
+from tramstream.processors.tram_states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -315,6 +313,10 @@ class TramLocaliser:
             estimate, antenna, std_m, speed_mps, min(age_s, 2.0), self._lever_arm_m
         )
 
+    def constrain(self, on_track: OnTrack) -> None:
+        if self._navigation is not None and self._aligned:
+            self._navigation.given += self._navigation.ekf.track(on_track)
+
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
 
@@ -329,15 +331,7 @@ class TramLocaliser:
         return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])
 
     def learned(self) -> list[Learned]:
-        navigation = self._navigation
-        if navigation is None:
-            return []
-        values = navigation.ekf.memory[:SIZE].tolist()
-        variances = np.diag(navigation.ekf.P).tolist()
-        return [
-            Learned(slot.name.lower(), values[slot], math.sqrt(max(variances[slot], 0.0)), unit)
-            for slot, unit in UNITS.items()
-        ]
+        return [] if self._navigation is None else estimates.learned(self._navigation.ekf.memory)
 
     def complaints(self) -> list[str]:
         found, self._complaints = self._complaints, []

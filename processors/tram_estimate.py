@@ -17,12 +17,15 @@ from tramstream.localisation import (
     VALUES,
     YAW_RATE,
     Estimate,
+    Learned,
     Verdict,
     values_of,
 )
 from tramstream.processors import tram_frames as frames
 from tramstream.processors.tram_filter import STANDING_STD_MPS
-from tramstream.processors.tram_states import Ix
+from tramstream.processors.tram_kernels import COVARIANCE as COVARIANCE_OF_STATE
+from tramstream.processors.tram_kernels import STATE
+from tramstream.processors.tram_states import SIZE, UNITS, Ix
 
 SPEED_VARIANCE = COVARIANCE + int(Ix.SPEED) * 8
 """In the values of an estimate, whose covariance has seven columns."""
@@ -92,6 +95,16 @@ def at_fix(
     variance = std_m**2 + (speed_mps * age_s) ** 2 + x * x + y * y
     covariance[:4, :4] = np.diag([variance, variance, variance, max(1.0, speed_mps) ** 2])
     return moved
+
+
+def learned(m: Array) -> list[Learned]:
+    """Give what a filter with memory `m` has learned."""
+    values = m[STATE].tolist()
+    variances = m[COVARIANCE_OF_STATE].reshape(SIZE, SIZE).diagonal().tolist()
+    return [
+        Learned(slot.name.lower(), values[slot], math.sqrt(max(variances[slot], 0.0)), unit)
+        for slot, unit in UNITS.items()
+    ]
 
 
 def plain(estimate: Estimate) -> dict[str, Any]:

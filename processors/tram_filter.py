@@ -16,7 +16,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from tramstream.config import Vehicle
 from tramstream.kernels import Array, update_scalar
-from tramstream.localisation import Verdict
+from tramstream.localisation import OnTrack, Verdict
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors import tram_measurements as measurements
 from tramstream.processors.tram_states import PARAMETERS, SIZE, Ix, Pm
@@ -46,6 +46,7 @@ _FIX, _VELOCITY = (
     ("gnss_east", "gnss_north", "gnss_up"),
     ("gnss_velocity_east", "gnss_velocity_north"),
 )
+_TRACK = ("track_across", "track_heading", "track_grade")
 _PATH, _RIM = ("wheel_a", "wheel_b"), ("rim_a", "rim_b")
 
 
@@ -229,6 +230,12 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         """Take a wheel's speed, m/s."""
         y, S = measurements.rim(self.memory, self.parameters, wheel, speed, std * std, SCALAR_GATE)
         return self._judged(_RIM[wheel], y, S)
+
+    def track(self, on_track: OnTrack) -> list[Verdict]:
+        """Take that the vehicle is on a track, of which the state as it is is off."""
+        measurements.track(self.memory, np.array(on_track), SCALAR_GATE, self._out)
+        known = 2 if math.isnan(on_track.grade_rad) else 3
+        return self._all_judged(_TRACK[:known])
 
     def tie(self, wheel: int, variance: float) -> None:
         """Count a wheel's path from here on."""

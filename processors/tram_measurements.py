@@ -36,6 +36,9 @@ _LATERAL = slots(
     Ix.MOUNT_PITCH,
 )
 _HEAVE = slots(Ix.HEAVE)
+_ACROSS = slots(Ix.EAST, Ix.NORTH)
+_ALONG = slots(Ix.EAST, Ix.NORTH, Ix.YAW)
+_GRADE = slots(Ix.PITCH)
 _STANDING = slots(Ix.SPEED)
 _LEVEL = slots(Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH)
 _STILL = (slots(Ix.GYRO_X), slots(Ix.GYRO_Y), slots(Ix.GYRO_Z))
@@ -202,6 +205,38 @@ def rim(m: Array, c: Array, wheel: int, speed: float, R: float, gate: float) -> 
     h[0], h[1], h[2], h[3] = sign * counted, true, sign * offset * counted, -sign * a * counted
     y = speed - true * counted
     return y, take(m, 0, columns, 4, y, R, gate)
+
+
+@compiled
+def track(m: Array, z: Array, gate: float, out: Array) -> None:
+    """Take that the vehicle is on a track and heads along it, with the track's grade.
+
+    The first is the distance in normal form, n (p − p_track) = 0. The heading that the track has
+    depends on how far along it the vehicle is: in a curve its row reads the place along the track.
+
+    Parameters
+    ----------
+    z : ndarray, shape (9,)
+        Fields of `tramstream.localisation.OnTrack`: of the state as it is.
+    out : ndarray, shape (3, 2)
+        Gets innovations and variances; zeros where the map knows no grade.
+    """
+    x, h = m[STATE], row(m, 0)
+    ne, nn, across = z[0], z[1], z[2]
+    east, north, yaw = x[Ix.EAST], x[Ix.NORTH], x[Ix.YAW]
+    h[0], h[1] = ne, nn
+    out[0, 0], out[0, 1] = -across, take(m, 0, _ACROSS, 2, -across, z[5], gate)
+    # The first scalar has moved place and heading: z is of the state before it.
+    along = nn * (x[Ix.EAST] - east) - ne * (x[Ix.NORTH] - north)
+    h = row(m, 1)
+    h[0], h[1], h[2] = -z[4] * nn, z[4] * ne, 1.0
+    y = z[4] * along - (z[3] + x[Ix.YAW] - yaw)
+    out[1, 0], out[1, 1] = y, take(m, 1, _ALONG, 3, y, z[6], gate)
+    out[2, 0] = out[2, 1] = 0.0
+    if not math.isnan(z[7]):
+        row(m, 2)[0] = 1.0
+        y = -z[7] - x[Ix.PITCH]
+        out[2, 0], out[2, 1] = y, take(m, 2, _GRADE, 1, y, z[8], gate)
 
 
 @compiled

@@ -62,6 +62,8 @@ class Navigation:
         self.reading, self._between = self.inputs[1], self.inputs[2]
         self._shaking, self._steady = self.inputs[3, 3:6], self.inputs[3, 6:9]
         self.complaints: list[str] = []
+        self.given: list[Verdict] = []
+        """Of what was taken since the last frame."""
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
@@ -181,7 +183,7 @@ class Navigation:
         if self.stood and not standing:
             ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
         self.stood = standing
-        verdicts: list[Verdict] = []
+        verdicts, self.given = self.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
         if gnss or odometry:
             measurements: list[Any] = sorted((*gnss, *odometry), key=_stamp)
@@ -299,6 +301,7 @@ class Navigation:
             "stood": self.stood,
             "wheels": self.wheels.snapshot(),
             "fixes": self.fixes.snapshot(),
+            "given": [tuple(each) for each in self.given],
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -310,6 +313,7 @@ class Navigation:
         self._blind.restore(state["blind"])
         self.wheels.restore(state["wheels"])
         self.fixes.restore(state["fixes"])
+        self.given = [Verdict(*each) for each in state["given"]]
 
 
 _stamp: Callable[[Any], int] = attrgetter("stamp_ns")

@@ -23,7 +23,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.geodesy import LocalLevel
 from tramstream.kernels import Array, compiled, sound
-from tramstream.localisation import Estimate, Verdict
+from tramstream.localisation import Estimate, OnTrack, Verdict
 from tramstream.processor import State
 from tramstream.processors import tram_kernels as kernels
 from tramstream.processors.tram import TramLocaliser
@@ -233,6 +233,11 @@ class TracedFilter(TramFilter):
         verdict = super().rim(wheel, speed, std)
         self._updated()
         return verdict
+
+    def track(self, on_track: OnTrack) -> list[Verdict]:
+        verdicts = super().track(on_track)
+        self._updated()
+        return verdicts
 
     def tie(self, wheel: int, variance: float) -> None:
         super().tie(wheel, variance)

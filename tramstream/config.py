@@ -207,6 +207,18 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """How roll and pitch may change where no gyroscope tells: a grade of 7 % within 200 s."""
 
 
+class Map(Struct, frozen=True, kw_only=True):
+    """The track network."""
+
+    network: str
+    """File that `tramstream map build` wrote."""
+    std_m: Positive = 0.5
+    """Deviation across of the mapped tracks from the rails, beside what the network itself states:
+    what whole stretches have in common. theory.md section 3."""
+    correlation_m: Positive = 30.0
+    """Length of such a stretch."""
+
+
 class Recorder(Struct, frozen=True, kw_only=True):
     """Where and how records are written."""
 
@@ -246,6 +258,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     resampler: Resampler = Resampler()
     distance: Distance = Distance()
     ekf: Ekf = Ekf()
+    map: Map | None = None
     recorder: Recorder = Recorder()
     simulators: dict[str, Simulator] = {}
 
@@ -316,6 +329,8 @@ def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
             dbc=absolute(vehicle.odometer.dbc),
             channel=_device(vehicle.odometer.channel, folder),
         )
+    if vehicle.map is not None:
+        changes["map"] = msgspec.structs.replace(vehicle.map, network=absolute(vehicle.map.network))
     if vehicle.gnss is not None:
         changes["gnss"] = msgspec.structs.replace(
             vehicle.gnss, device=_device(vehicle.gnss.device, folder)

@@ -136,6 +136,14 @@ EST_SMOOTHED = _key(
     "est/ekf/smoothed", estimate_pb2.MotionState, 10, "state", "Offline: with the whole ride known"
 )
 
+# map: where on the network ------------------------------------------------------------------------
+MAP_MATCH = _key(
+    "map/matcher/match", estimate_pb2.MapMatch, 100, "horizon", "Track, chainage, probability"
+)
+MAP_LOCATION = _key(
+    "map/matcher/location", LocationFix, 10, "horizon", "The place on the track for any viewer"
+)
+
 # health: how the system is doing; one source a node -----------------------------------------------
 HEARTBEAT = _key(
     "health/*/heartbeat", health_pb2.NodeHealth, 1, "publication", "A process is alive"

@@ -120,3 +120,79 @@ class FilterParameters(_message.Message):
     model: str
     parameters: _containers.RepeatedCompositeFieldContainer[Parameter]
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ...) -> None: ...
+
+class MapAlternative(_message.Message):
+    __slots__ = ("edge", "run", "chainage_m", "probability")
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    edge: str
+    run: int
+    chainage_m: float
+    probability: float
+    def __init__(self, edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., probability: _Optional[float] = ...) -> None: ...
+
+class LineReference(_message.Message):
+    __slots__ = ("line", "direction", "chainage_m")
+    LINE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    line: str
+    direction: str
+    chainage_m: float
+    def __init__(self, line: _Optional[str] = ..., direction: _Optional[str] = ..., chainage_m: _Optional[float] = ...) -> None: ...
+
+class MapMatch(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "state", "edge", "run", "chainage_m", "chainage_std_m", "probability", "off_probability", "side", "standing", "direction_known", "latitude_deg", "longitude_deg", "alternatives", "references")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STARTING: _ClassVar[MapMatch.State]
+        ON_TRACK: _ClassVar[MapMatch.State]
+        OFF_MAP: _ClassVar[MapMatch.State]
+    STARTING: MapMatch.State
+    ON_TRACK: MapMatch.State
+    OFF_MAP: MapMatch.State
+    class Side(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SINGLE: _ClassVar[MapMatch.Side]
+        RIGHT: _ClassVar[MapMatch.Side]
+        LEFT: _ClassVar[MapMatch.Side]
+        MIDDLE: _ClassVar[MapMatch.Side]
+    SINGLE: MapMatch.Side
+    RIGHT: MapMatch.Side
+    LEFT: MapMatch.Side
+    MIDDLE: MapMatch.Side
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    OFF_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    SIDE_FIELD_NUMBER: _ClassVar[int]
+    STANDING_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_KNOWN_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
+    REFERENCES_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    state: MapMatch.State
+    edge: str
+    run: int
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    off_probability: float
+    side: MapMatch.Side
+    standing: bool
+    direction_known: bool
+    latitude_deg: float
+    longitude_deg: float
+    alternatives: _containers.RepeatedCompositeFieldContainer[MapAlternative]
+    references: _containers.RepeatedCompositeFieldContainer[LineReference]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., state: _Optional[_Union[MapMatch.State, str]] = ..., edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., chainage_std_m: _Optional[float] = ..., probability: _Optional[float] = ..., off_probability: _Optional[float] = ..., side: _Optional[_Union[MapMatch.Side, str]] = ..., standing: _Optional[bool] = ..., direction_known: _Optional[bool] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., alternatives: _Optional[_Iterable[_Union[MapAlternative, _Mapping]]] = ..., references: _Optional[_Iterable[_Union[LineReference, _Mapping]]] = ...) -> None: ...

@@ -1,0 +1,255 @@
+"""The map matcher: which run of a network the vehicle is on, and where, with what probability.
+
+It takes what a localisation filter says, step by step and causally, and keeps hypotheses over the
+runs (`matching_kernels`). Where the heading is not known yet, it says on which tracks the vehicle
+may stand, anew every second; with the heading, hypotheses begin on every track near by, in both
+directions. A vehicle that leaves the map is said to be off it, and looked for again as it goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tramstream.clock import S
+from tramstream.config import Map
+from tramstream.localisation import HEADING_UNKNOWN, STARTING, Estimate, OnTrack
+from tramstream.map_frame import MapFrame
+from tramstream.network import Network
+from tramstream.processor import State
+from tramstream.processors import matching_kernels as kernels
+from tramstream.processors import matching_step as steps
+from tramstream.rails import Rails, Search, rails_of
+
+SEARCH_STDS = 3.5
+SEARCH_MORE_M, SEARCH_MOST_M = 10.0, 150.0
+"""Tracks are looked for within so many deviations of the estimate, and a bit."""
+WRONG_WAY = 1e-3
+"""Share of vehicles that are met where trams are not meant to go."""
+HEADS_RAD = math.radians(60.0)
+"""No vehicle heads so far off its track, whatever its filter believes at first."""
+AGAIN_S = 1.0
+AGAIN_M = 10.0
+"""Tracks are looked for again after so long without a heading, after so long a way off the map."""
+LOST = 0.5
+"""Off the map, if that is likelier than this."""
+FORGET_S = 60.0
+"""Time in which errors of a filter with inertial sensors forget themselves: those of its fixes."""
+MOVES_MPS = 0.3
+"""From here on the sign of the speed tells the direction of travel."""
+
+
+class Candidate(NamedTuple):
+    """A run that the vehicle may be on."""
+
+    run: int
+    chainage_m: float
+    probability: float
+
+
+class Match(NamedTuple):
+    """What the matcher says at one instant."""
+
+    run: int
+    """In the direction of motion; -1 off the map."""
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    off_probability: float
+    east: float
+    north: float
+    """Of the place on the track, in the plan, m."""
+    others: tuple[Candidate, ...]
+    on_track: OnTrack | None
+    """For the filter, where no doubt is left."""
+    headed: bool
+    """Whether the vehicle's heading is known: before, the direction of a run is a guess."""
+
+
+class Matcher:
+    """Keeps hypotheses over the runs of a network.
+
+    Parameters
+    ----------
+    network : Network
+    settings : Map
+    forget_s : float
+        Time in which errors of the estimates forget themselves.
+    pivot_m : float
+        The vehicle's origin before the point that follows the rails.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        settings: Map,
+        forget_s: float = FORGET_S,
+        pivot_m: float = 0.0,
+    ) -> None:
+        self.network = network
+        self._rails = rails_of(network)
+        self._names: dict[int, str] = {}
+        self._search = Search(network)
+        self.memory = np.zeros(kernels.MEMORY)
+        self._begin()
+        self._constants = np.array([forget_s, settings.std_m, settings.correlation_m, pivot_m])
+        self._motion = np.zeros(kernels.MOTION)
+        self._out = np.zeros(steps.OUT)
+        self._frame: MapFrame | None = None
+        self._stamp_ns = 0
+        self._looked_ns = 0
+        self._way_m = 0.0  # since tracks were looked for
+        self._headed = False
+
+    def _begin(self) -> None:
+        self.memory[: kernels.HEAD] = 0.0
+        self.memory[kernels.OFF] = 0.0
+        self.memory[kernels.SYNCED] = kernels.NONE
+        self.memory[kernels.DIRECTION] = 1.0
+
+    @property
+    def rails(self) -> Rails:
+        """The network as kernels read it."""
+        return self._rails
+
+    def name_of(self, run: int) -> str:
+        """Name of a run; kept, for it is asked a hundred times a second."""
+        name = self._names.get(run)
+        if name is None:
+            name = self._names[run] = self.network.name_of(run)
+        return name
+
+    def away_m(self) -> float:
+        """How far the last estimate is from the nearest track."""
+        z = self._motion
+        return self._search.away_m(float(z[kernels.EAST]), float(z[kernels.NORTH]))
+
+    @property
+    def hypotheses(self) -> int:
+        """How many there are."""
+        return int(self.memory[kernels.COUNT])
+
+    def step(self, estimate: Estimate, frame: MapFrame) -> Match | None:
+        """Take an estimate; None while nothing is known.
+
+        Parameters
+        ----------
+        frame : MapFrame
+            Between the estimate's frame `l` and the network's plan; moved along.
+        """
+        if estimate.mode == STARTING:
+            return None
+        frame.follow(*estimate.p_l)
+        z = self._motion
+        dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        headed = estimate.mode != HEADING_UNKNOWN
+        z[kernels.STEP] = min(max(dt, 0.0), 1.0)
+        z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
+        self._stamp_ns = estimate.stamp_ns
+        steps.advance(
+            self.memory,
+            self._rails,
+            estimate.values,
+            frame.numbers,
+            self._constants,
+            z,
+            self._out,
+        )
+        if self._due(estimate, headed):
+            self._look(headed)
+            steps.summary(
+                self.memory, self._rails, z, self._constants, frame.numbers, False, self._out
+            )
+        return self._match(headed)
+
+    # Where hypotheses come from ------------------------------------------------------------------
+    def _due(self, estimate: Estimate, headed: bool) -> bool:
+        """Whether tracks are to be looked for."""
+        z = self._motion
+        if headed != self._headed:
+            self._headed = headed
+            return True
+        if not headed:
+            return estimate.stamp_ns - self._looked_ns >= AGAIN_S * S
+        if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
+            return False
+        self._way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
+        return self._way_m >= AGAIN_M
+
+    def _look(self, headed: bool) -> None:
+        """Begin anew with all tracks near the estimate."""
+        z, memory = self._motion, self.memory
+        self._looked_ns, self._way_m = self._stamp_ns, 0.0
+        memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
+        speed = z[kernels.SPEED]
+        if abs(speed) > MOVES_MPS:
+            memory[kernels.DIRECTION] = math.copysign(1.0, speed)
+        std = math.sqrt(max(z[kernels.P_EE], z[kernels.P_NN], 0.0))
+        radius = min(SEARCH_STDS * std + SEARCH_MORE_M, SEARCH_MOST_M)
+        place = float(z[kernels.EAST]), float(z[kernels.NORTH])
+        found = self._search.near(*place, radius)
+        limit = HEADS_RAD + 2.0 * math.sqrt(z[kernels.P_YAW])
+        forwards = memory[kernels.DIRECTION] > 0.0
+        begun = []
+        for near in found:
+            for back in (0, 1):
+                run = 2 * near.track + back
+                yaw = near.yaw_rad + math.pi * back
+                if headed and abs(math.remainder(yaw - z[kernels.YAW], math.tau)) > limit:
+                    continue
+                length = float(self._rails.length_m[near.track])
+                s = length - near.chainage_m if back else near.chainage_m
+                begun.append((run, s, 1.0 if self._allowed(run, forwards) else WRONG_WAY))
+        memory[kernels.OFF] = math.log(kernels.OFF_PRIOR / (2.0 * kernels.OFF_RADIUS_M))
+        if headed:
+            memory[kernels.OFF] -= math.log(math.tau)
+        for run, s, prior in begun[: kernels.MOST]:
+            kernels.seed(memory, self._rails, z, self._constants, run, s, prior / len(begun))
+        kernels.tidy(memory)
+
+    def _allowed(self, run: int, forwards: bool) -> bool:
+        moving = run if forwards else run ^ 1
+        return bool(self._rails.rules[moving >> 1] & (1 if moving % 2 == 0 else 2))
+
+    # What comes out ------------------------------------------------------------------------------
+    def _match(self, headed: bool) -> Match:
+        out: list[float] = self._out.tolist()
+        best, off = out[steps.BEST], out[steps.OFF_PROBABILITY]
+        others = tuple(
+            Candidate(int(run), s, probability)
+            for run, s, probability in zip(
+                *(out[steps.OTHER + part :: 3] for part in range(3)), strict=False
+            )
+        )[: int(out[steps.OTHERS])]
+        if best < 0.0 or off > LOST:
+            return Match(-1, 0.0, 0.0, 0.0, max(off, 1.0 - out[1]), 0.0, 0.0, others, None, headed)
+        on_track = OnTrack(*out[steps.CERTAINLY + 1 : steps.OUT]) if out[steps.CERTAINLY] else None
+        return Match(
+            int(out[steps.EDGE]),
+            out[steps.EDGE_CHAINAGE],
+            out[steps.ALONG_STD],
+            out[steps.PROBABILITY],
+            off,
+            out[steps.MATCHED_EAST],
+            out[steps.MATCHED_NORTH],
+            others,
+            on_track,
+            headed,
+        )
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> State:
+        return {
+            "memory": self.memory.copy(),
+            "stamp_ns": self._stamp_ns,
+            "looked_ns": self._looked_ns,
+            "way_m": self._way_m,
+            "headed": self._headed,
+        }
+
+    def restore(self, state: State) -> None:
+        self.memory[:] = state["memory"]
+        self._stamp_ns, self._looked_ns = state["stamp_ns"], state["looked_ns"]
+        self._way_m, self._headed = state["way_m"], state["headed"]
