@@ -173,7 +173,7 @@ class Happenings:
 
 
 def _multipath(gnss: Gnss, duration_s: float, rng: Generator) -> list[Offset]:
-    """Jumps of the fixes: a Poisson process, durations exponential, offsets normal up to the longest."""
+    """Jumps of the fixes: a Poisson process, durations exponential, offsets normal but bounded."""
     count = int(rng.poisson(gnss.jumps_per_min / 60 * duration_s))
     starts = np.sort(rng.uniform(0, duration_s, count)).tolist()
     lasts = rng.exponential(gnss.jump_duration_s, count).tolist()
