@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from tramstream import machine_code
 from tramstream.cli import pool
 from tramstream.cli.pool import Job
 from tramstream.cli.reproduce import Options
@@ -49,7 +50,7 @@ _TRACKS = {
     "parallel": BESIDE,
     "strict": STRICT,
     "nearest": NEAREST_FIX,
-    "of filter": NEAREST_STATE,
+    "no map": NEAREST_STATE,
 }
 """Columns of the first table."""
 
@@ -61,6 +62,7 @@ def reproduce(options: Options) -> None:
     network = str(options.network.absolute())
     lines = study.lines(study.load(network), options.lines)
     cases = _cases(network, lines, options)
+    machine_code.ensure(say)  # once, and not in every process
     began_s = time.monotonic()
     rides: dict[Case, Figures] = {}
     for job, result in pool.results([Job(study.study, (case,)) for case in cases]):
@@ -84,11 +86,18 @@ def _cases(network: str, lines: Sequence[str], options: Options) -> list[Case]:
     seeds = range(first, first + (options.seeds or SEEDS))
     detours = DETOURS if options.detours is None else options.detours
     duration_s = options.duration_s
-    cases = [Case(network, line, seed, False, duration_s) for line in lines for seed in seeds]
-    return cases + [
-        Case(network, lines[number % len(lines)], first + number, True, duration_s)
-        for number in range(detours)
+    cases = [
+        Case(network, line, seed, False, duration_s, seed == first)
+        for line in lines
+        for seed in seeds
     ]
+    return cases + [
+        Case(
+            network, lines[number % len(lines)], first + number, True, duration_s,
+            number < len(lines),
+        )
+        for number in range(detours)
+    ]  # fmt: skip
 
 
 # JSON ---------------------------------------------------------------------------------------------
@@ -165,8 +174,9 @@ def _print(console: Console, figures: Sequence[Figures], elapsed_s: float) -> No
         f"{100 * WANTED_OF_90[0]:.0f} and {100 * WANTED_OF_90[1]:.0f} %.\n"
         "right track: of all points since the first answer, every 0.1 s, standing ones too; right\n"
         "too where rails have not parted yet (less than 1 m), which strict does not allow.\n"
-        "parallel: where the true track has a neighbour. nearest, of filter: nearest track of\n"
-        "each fix and of the filter's position. way: facing switches, asked so far beyond. along:\n"
+        "parallel: where the true track has a neighbour. nearest: nearest track of each fix; no\n"
+        "map: of the position of a filter without the map, on the first ride of each line and\n"
+        "its first detour. way: facing switches, asked so far beyond. along:\n"
         "distance from the truth along the track, and how often it is within 2 σ (95.4 is right).\n"
         "start: from the filter's first position to the first answer. episodes: stretches of one\n"
         "candidate in one bin; ± is of the share right if each were one throw.",
@@ -245,8 +255,8 @@ def _mistake(mistake: Mistake) -> list[str]:
         f"{lasted_s:.1f}" if mistake.kind == "track" else mistake.kind,
         f"{mistake.route_m:.0f}",
         "standing" if mistake.standing else "",
-        mistake.true,
-        mistake.said or "–",
+        f"{mistake.true} ({mistake.true_run})",
+        f"{mistake.said} ({mistake.said_run})" if mistake.said else "–",
         f"{100 * mistake.probability:.1f}",
     ]
 

@@ -24,8 +24,8 @@ SWITCHES = ("right_way_30_m", "right_way_15_m")
 """Of the facing switches passed, so far beyond each; `matching_judge.BEYOND_M`."""
 TWO_SIGMA = "along_within_2_sigma"
 """0.954 where the stated deviation is right."""
-NEAREST_FIX, NEAREST_STATE = "nearest_to_fix", "nearest_to_filter"
-"""Nearest-track matching of every fix, and of the filter's position."""
+NEAREST_FIX, NEAREST_STATE = "nearest_to_fix", "nearest_to_filter_without_map"
+"""Nearest-track matching of every fix, and of the position of a filter that has no map."""
 TALLIES = (
     TRACK, STANDING, MOVING, BESIDE, STRICT, DIRECTION, *SWITCHES, TWO_SIGMA, NEAREST_FIX,
     NEAREST_STATE,
@@ -63,8 +63,11 @@ class Mistake(NamedTuple):
     """At its start."""
     true: str
     """Name of the run, at its start."""
+    true_run: int
     said: str
     """Empty: no answer."""
+    said_run: int
+    """Names are not unique: some tracks join the same nodes."""
     probability: float
     """Said at its start."""
 

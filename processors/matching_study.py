@@ -3,7 +3,7 @@
 A ride follows an operator's line or a detour of it, on rails that are a little beside the map, with
 the sensors of scenario `matching`. It goes through resampler and filter in memory; ten times a
 second the match is held to the truth (`matching_judge`). On the same rides the nearest track of
-each fix, and of the filter's position, is held to it in the same way.
+each fix, and on some that of a filter without the map, is held to it in the same way.
 
 Rides of one seed on two lines have nothing in common: all chance hangs on seed and route.
 """
@@ -81,6 +81,8 @@ class Case(NamedTuple):
     seed: int = 1
     detour: bool = False
     duration_s: float | None = None
+    free: bool = False
+    """Also through a filter without the map, for nearest-track matching of its positions."""
     map_error_m: float = ERROR_STD_M
 
     @property
@@ -156,15 +158,20 @@ def study(case: Case) -> Figures:
     simulation = simulation_of(case, ride)
     vehicle = replace(simulation.vehicle, map=config.Map(network=case.network))
     localisation = LocalisationFilter(vehicle)
+    free = LocalisationFilter(simulation.vehicle) if case.free else None
     fixes: list[GnssFix] = []
-    said, elapsed_s, number = Said(), 0.0, 0
+    said, said_freely, elapsed_s, number = Said(), Said(), 0.0, 0
     for number, frame in enumerate(frames(simulation, fixes)):
         begin_s = time.thread_time()
         outputs = localisation.step(frame)
         elapsed_s += time.thread_time() - begin_s
+        outputs_freely = free.step(frame) if free is not None else []
         if number % EVERY == 0:
             said.keep(outputs)
-    return figures(case, ride, simulation, said, fixes, elapsed_s / (number + 1) * 1e6)
+            said_freely.keep(outputs_freely)
+    found = figures(case, ride, simulation, said, elapsed_s / (number + 1) * 1e6)
+    nearest = _nearest(ride, simulation, said_freely.columns(), fixes)
+    return found._replace(tallies={**found.tallies, **nearest})
 
 
 # Judging ------------------------------------------------------------------------------------------
@@ -173,12 +180,10 @@ def figures(
     ride: NetworkRide,
     simulation: Simulation,
     said: Said,
-    fixes: Sequence[GnssFix],
     step_us: float = float("nan"),
 ) -> Figures:
-    """Hold what was said to the truth."""
+    """Hold what was said to the truth; nearest-track matching is not in it."""
     whole = said.columns()
-    tree = cKDTree(np.column_stack([ride.network.east, ride.network.north]))
     first = int(np.argmax(whole.answered))  # without any answer all points are wrong
     points = whole.since(first)
     motion = simulation.ride.motion(points.time_s)
@@ -201,7 +206,7 @@ def figures(
             for name, passed in zip(SWITCHES, beyond, strict=True)
         },
         TWO_SIGMA: _tally(within),
-        **_nearest(ride, simulation, tree, whole, fixes),
+        **dict.fromkeys((NEAREST_FIX, NEAREST_STATE), Tally(0, 0)),
     }
     best, candidates = _reliabilities(ride, points, verdicts, route_m)
     return Figures(
@@ -278,11 +283,11 @@ def _again(row: Integers, right: Flags) -> Flags:
 def _nearest(
     ride: NetworkRide,
     simulation: Simulation,
-    tree: cKDTree,
     points: Columns,
     fixes: Sequence[GnssFix],
 ) -> dict[str, Tally]:
-    """Nearest-track matching of every valid fix, and of the filter's position."""
+    """Nearest-track matching of every valid fix, and of positions of a filter."""
+    tree = cKDTree(np.column_stack([ride.network.east, ride.network.north]))
     valid = [fix for fix in fixes if fix.valid]
     degrees = np.array([(fix.latitude_deg, fix.longitude_deg) for fix in valid]).reshape(-1, 2)
     time_s = (np.array([fix.stamp_ns for fix in valid], dtype=np.int64) - EPOCH_NS) / S
@@ -326,7 +331,9 @@ def _mistakes(
             route_m=float(route_m[first]),
             standing=bool(standing[first]),
             true=ride.network.name_of(int(true[first])),
+            true_run=int(true[first]),
             said=_name(ride.network, int(points.spots.run[first])),
+            said_run=int(points.spots.run[first]),
             probability=float(points.probability[first]),
         )
         for kind, first, last in sorted(rows, key=lambda row: row[1])

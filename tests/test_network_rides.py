@@ -115,7 +115,6 @@ def test_detours_go_where_trams_may_and_take_other_ways_than_the_line() -> None:
         assert route.stops_m[0] == 0.0
         assert route.stops_m[-1] == route.length_m
         assert np.all(np.diff(route.stops_m) >= 60.0)
-    crossed = sum(12 in route.runs for route in routes)
-    assert 8 <= crossed <= 32
+        assert 12 in route.runs  # the only legal way off the line
     assert not any(4 in route.runs for route in routes)  # ends 340 m on, the other way does not
     assert any(len(route.stops_m) > 2 for route in routes)

@@ -55,7 +55,7 @@ def detour(
     Raises
     ------
     ConfigError
-        If none of `SHORTEST_M` or half of `length_m` is found.
+        If none of `SHORTEST_M` or half of `length_m` is found that leaves the line.
     """
     onward_m = _onward_m(network)
     shortest_m = min(SHORTEST_M, length_m / 2)
@@ -65,7 +65,8 @@ def detour(
         begin_m = line.begin_m if first == 0 else 0.0
         lengths = network.length_m[np.array(runs) >> 1]
         whole_m = float(np.sum(lengths)) - begin_m - min(END_M, float(lengths[-1]) / 2)
-        if whole_m >= shortest_m:
+        left = tuple(runs) != line.runs[first : first + len(runs)]
+        if left and whole_m >= shortest_m:
             stops_m = _stops_m(network, runs, begin_m, whole_m)
             return Route(name, tuple(runs), begin_m, whole_m, stops_m)
     raise ConfigError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -173,59 +173,55 @@ def test_calibrated_probabilities_are_found_calibrated() -> None:
 
 
 # A ride -------------------------------------------------------------------------------------------
-@dataclass
-class Answers:
-    """Made-up answers along a ride at 10 Hz."""
-
-    simulation: Simulation
-    said: Said = field(default_factory=Said)
-
-    def give(self, wrong: dict[tuple[float, float], tuple[int, float]], silent_s: float) -> None:
-        """The truth with probability 0.9; a neighbour with 0.1; within times another run first."""
-        ride = main_ride()
-        for time_s in np.arange(0.0, self.simulation.duration_s, 0.1).tolist():
-            stamp_ns = EPOCH_NS + round(time_s * 1e9)
-            truth = self.simulation.truth([stamp_ns])
-            at = ride.spots_at(ride.route_at(truth.motion.arc_length_m))
-            run, chainage_m = int(at.run[0]), float(at.chainage_m[0])
-            other = 10, 500.0
-            for (begin_s, end_s), said in wrong.items():
-                if begin_s <= time_s < end_s:
-                    (run, chainage_m), other = said, (run, chainage_m)
-            latitude, longitude, _ = np.degrees(ride.line.level.to_geodetic(truth.p_l)[0])
-            state = MotionState(stamp_ns=stamp_ns, latitude_deg=latitude, longitude_deg=longitude)
-            match = MapMatch(
-                stamp_ns=stamp_ns, state=MapMatch.ON_TRACK, run=run, chainage_m=chainage_m,
-                chainage_std_m=1.0, probability=0.9, direction_known=True,
-                alternatives=[
-                    MapAlternative(run=other[0], chainage_m=other[1], probability=0.1)
-                ],
-            )  # fmt: skip
-            outputs = [Sample(keys.EST_STATE, state, stamp_ns, 1)]
-            if time_s >= silent_s:
-                outputs.append(Sample(keys.MAP_MATCH, match, stamp_ns, 1))
-            self.said.keep(outputs)
-
-
 BRISK = Scenario(
     driver=Limits(speed_mps=14.0, acceleration_mps2=1.0, jerk_mps3=0.6, first_dwell_s=20.0),
     imu=Imu(),
     gnss=Gnss(),
 )
+Wrong = dict[tuple[float, float], tuple[int, float]]
+"""Within times of the ride, a point of another run that is said instead of the true one."""
 
 
-def figured(
-    wrong: dict[tuple[float, float], tuple[int, float]] | None = None, silent_s: float = 0.0
-) -> Figures:
-    simulation = Simulation(main_ride().line, BRISK, 1)
-    answers = Answers(simulation)
-    answers.give(wrong or {}, silent_s)
-    return study.figures(Case("", "1/0"), main_ride(), simulation, answers.said, [])
+@cache
+def simulation() -> Simulation:
+    return Simulation(main_ride().line, BRISK, 1)
+
+
+def said(wrong: Wrong, silent_s: float) -> Said:
+    """Made-up answers at 10 Hz: the truth with probability 0.9, a neighbour with 0.1."""
+    ride, found = main_ride(), Said()
+    stamps_ns = EPOCH_NS + np.arange(int(10 * simulation().duration_s)) * 100_000_000
+    truth = simulation().truth(stamps_ns)
+    degrees = np.degrees(ride.line.level.to_geodetic(truth.p_l)[:, :2])
+    at = ride.spots_at(ride.route_at(truth.motion.arc_length_m))
+    for row, stamp_ns in enumerate(stamps_ns.tolist()):
+        time_s = row / 10
+        first, other = (int(at.run[row]), float(at.chainage_m[row])), (10, 500.0)
+        for (begin_s, end_s), instead in wrong.items():
+            if begin_s <= time_s < end_s:
+                first, other = instead, first
+        state = MotionState(
+            stamp_ns=stamp_ns, latitude_deg=degrees[row, 0], longitude_deg=degrees[row, 1]
+        )
+        match = MapMatch(
+            stamp_ns=stamp_ns, state=MapMatch.ON_TRACK, run=first[0], chainage_m=first[1],
+            chainage_std_m=1.0, probability=0.9, direction_known=True,
+            alternatives=[MapAlternative(run=other[0], chainage_m=other[1], probability=0.1)],
+        )  # fmt: skip
+        outputs = [Sample(keys.EST_STATE, state, stamp_ns, 1)]
+        if time_s >= silent_s:
+            outputs.append(Sample(keys.MAP_MATCH, match, stamp_ns, 1))
+        found.keep(outputs)
+    return found
+
+
+def figured(wrong: Wrong | None = None, silent_s: float = 0.0) -> Figures:
+    return study.figures(Case("", "1/0"), main_ride(), simulation(), said(wrong or {}, silent_s))
 
 
 def test_true_answers_are_all_right() -> None:
     figures = figured()
-    for name in (TRACK, STRICT, STANDING, BESIDE, DIRECTION, *SWITCHES, NEAREST_STATE):
+    for name in (TRACK, STRICT, STANDING, BESIDE, DIRECTION, *SWITCHES):
         tally = figures.tallies[name]
         assert tally.count > 0
         assert tally.right == tally.count, name
@@ -287,7 +283,7 @@ def test_lines_are_chosen_by_name_and_direction() -> None:
 def test_whole_ride_goes_through_filter_and_matcher_and_repeats_itself(tmp_path: Path) -> None:
     path = tmp_path / "small.net"
     network().save(path)
-    case = Case(str(path), "1/0", seed=2, duration_s=75.0)
+    case = Case(str(path), "1/0", seed=2, duration_s=75.0, free=True)
     first, again = study.study(case), study.study(case)
     assert (
         first._replace(step_us=0.0, along_m=np.zeros(0)).__repr__()
@@ -296,10 +292,12 @@ def test_whole_ride_goes_through_filter_and_matcher_and_repeats_itself(tmp_path:
     np.testing.assert_array_equal(first.along_m, again.along_m)
     assert first.tallies[TRACK].count > 600
     assert 0.3 < (first.tallies[NEAREST_FIX].share or 0.0) < 0.95
+    assert 0.3 < (first.tallies[NEAREST_STATE].share or 0.0) <= 1.0
     assert first.tallies[DIRECTION].share == 1.0
-    other = study.study(case._replace(detour=True))
+    other = study.study(case._replace(detour=True, free=False, duration_s=30.0))
     assert other.route == study.DETOUR
-    assert other.tallies[TRACK].count > 600
+    assert other.tallies[TRACK].count > 250
+    assert other.tallies[NEAREST_STATE] == Tally(0, 0)
 
 
 def errors_of(case: Case) -> Array:
