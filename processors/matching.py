@@ -121,10 +121,19 @@ class Matcher:
             name = self._names[run] = self.network.name_of(run)
         return name
 
+    @property
+    def east(self) -> float:
+        """Of the last estimate in the plan, m."""
+        return float(self._motion[kernels.EAST])
+
+    @property
+    def north(self) -> float:
+        """See `east`."""
+        return float(self._motion[kernels.NORTH])
+
     def away_m(self) -> float:
         """How far the last estimate is from the nearest track."""
-        z = self._motion
-        return self._search.away_m(float(z[kernels.EAST]), float(z[kernels.NORTH]))
+        return self._search.away_m(self.east, self.north)
 
     @property
     def hypotheses(self) -> int:
