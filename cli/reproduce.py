@@ -1,14 +1,14 @@
-"""`tramstream reproduce NAME`: the figures of one of the five works beside ours."""
+"""`tramstream reproduce NAME`: the figures of a work beside ours, or ours of a study."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-WORKS = ("konecny2004", "kaspar2023", "drives")
+WORKS = ("konecny2004", "kaspar2023", "drives", "matching")
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,8 @@ class Options:
     data: Path | None = None
     mappings: Path | None = None
     kinds: tuple[str, ...] = ()
+    network: Path | None = None
+    detours: int | None = None
 
 
 def reproduce(
@@ -31,14 +33,18 @@ def reproduce(
         int | None, typer.Option(help="Of the random numbers; of the first ride.", min=0)
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(help="kaspar2023: rides of each kind; default 5.", min=1)
+        int | None,
+        typer.Option(
+            help="Rides of each kind (kaspar2023, default 5) or line (matching, default 10).", min=1
+        ),
     ] = None,
     line: Annotated[
         list[str] | None,
         typer.Option(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
-            "default); may be given several times.",
-            metavar="FILE[#LINE]",
+            "default). matching: LINE/DIRECTION or LINE; default all of the network. May be given "
+            "several times.",
+            metavar="LINE",
         ),
     ] = None,
     kind: Annotated[
@@ -49,7 +55,10 @@ def reproduce(
         ),
     ] = None,
     duration_s: Annotated[
-        float, typer.Option("--duration-s", help="kaspar2023: end rides early; 0 is never.", min=0)
+        float,
+        typer.Option(
+            "--duration-s", help="kaspar2023, matching: end rides early; 0 is never.", min=0
+        ),
     ] = 0.0,
     data: Annotated[
         Path | None,
@@ -58,9 +67,15 @@ def reproduce(
     mappings: Annotated[
         Path | None, typer.Option(help="drives: of mapping files; default mappings.", metavar="DIR")
     ] = None,
+    net: Annotated[
+        Path | None, typer.Option(help="matching: file of the track network.", metavar="FILE")
+    ] = None,
+    detours: Annotated[
+        int | None, typer.Option(help="matching: detours of the lines; default 20.", min=0)
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Reproduce the figures of a published work, or ours on the real drives."""
+    """Reproduce the figures of a published work, ours on the real drives, or of the map matcher."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
@@ -69,4 +84,5 @@ def reproduce(
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
+    options = replace(options, network=net, detours=detours)
     import_module(f"tramstream.cli.reproduce_{name}").reproduce(options)

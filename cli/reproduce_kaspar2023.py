@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -16,8 +13,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from tramstream.cli import pool
+from tramstream.cli.pool import Job
 from tramstream.cli.reproduce import Options
-from tramstream.cli.session import say, stop_on_signals
+from tramstream.cli.session import say
 from tramstream.errors import ConfigError
 from tramstream.processors import kaspar2023_study as study
 from tramstream.processors.bound import Bound
@@ -27,8 +26,6 @@ from tramstream.processors.tram import TramLocaliser
 
 NAME = study.WORK
 SEEDS = 5
-LOOK_S = 0.5
-"""How often a signal is looked for."""
 
 
 def reproduce(options: Options) -> None:
@@ -52,11 +49,15 @@ def reproduce(options: Options) -> None:
     began_s = time.monotonic()
     rides: dict[Case, list[Figures]] = {}
     bounds: dict[str, Bound] = {}
-    for case, result in _results(cases):
+    for job, result in pool.results(_jobs(cases)):
+        (case, *_) = job.arguments
         if isinstance(result, Bound):
             bounds[_kind(case)] = result
         else:
             rides[case] = result
+            say(f"{len(rides)}/{len(cases)}: {_kind(case)}, seed {case.seed}")
+    if len(rides) < len(cases):
+        say(f"stopped; {len(cases) - len(rides)} rides are missing")
     figures = [each for case in cases for each in rides.get(case, ())]
     elapsed_s = time.monotonic() - began_s
     if options.json:
@@ -69,48 +70,11 @@ def reproduce(options: Options) -> None:
     _explain(console, len(rides), elapsed_s)
 
 
-def _results(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Figures] | Bound]]:
-    """Bounds of all kinds of rides, and rides as they are done, on all cores.
-
-    After a signal no more.
-    """
-    stop = stop_on_signals()
-    workers = min(os.cpu_count() or 1, len(cases))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_leave_signals) as pool:
-        kinds = {_kind(case): case for case in reversed(cases)}
-        waiting: dict[Future[Any], Case] = {
-            pool.submit(study.bound_of, case): case for case in kinds.values()
-        }
-        waiting |= {pool.submit(study.study, case, tuple(MODELS)): case for case in cases}
-        count = 0
-        while waiting:
-            done, _ = wait(waiting, LOOK_S, return_when="FIRST_COMPLETED")
-            for future in done:
-                case, result = waiting.pop(future), future.result()
-                if not isinstance(result, Bound):
-                    count += 1
-                    say(f"{count}/{len(cases)}: {_kind(case)}, seed {case.seed}")
-                yield case, result
-            if stop.is_set():
-                _give_up(pool)
-                say(f"stopped; {len(cases) - count} rides are missing")
-                return
-
-
-def _leave_signals() -> None:
-    """Ctrl-C is for the parent alone."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _give_up(pool: ProcessPoolExecutor) -> None:
-    """Drop what has not begun; what has is ended."""
-    processes = list((getattr(pool, "_processes", None) or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
+def _jobs(cases: Sequence[Case]) -> list[Job]:
+    """Bounds of all kinds of rides, and rides."""
+    kinds = {_kind(case): case for case in reversed(cases)}
+    bounds = [Job(study.bound_of, (case,)) for case in kinds.values()]
+    return bounds + [Job(study.study, (case, tuple(MODELS))) for case in cases]
 
 
 def _kind(case: Case | Figures | Overall) -> str:

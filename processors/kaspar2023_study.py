@@ -29,7 +29,7 @@ from tramstream.processor import Sample
 from tramstream.processors import bound
 from tramstream.processors.bound import Bound
 from tramstream.processors.ekf import LocalisationFilter
-from tramstream.processors.resampler import Resampler
+from tramstream.processors.study_frames import frames
 from tramstream.processors.tram import TramLocaliser
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -136,25 +136,12 @@ def study(case: Case, models: Sequence[str]) -> list[Figures]:
     simulation = simulation_of(case)
     runs = [_Run(name, simulation.vehicle) for name in models]
     fixes: list[GnssFix] = []
-    for number, frame in enumerate(_frames(simulation, fixes)):
+    for number, frame in enumerate(frames(simulation, fixes)):
         for run in runs:
             run.take(frame, number % EVERY == 0)
     raw = _fix_errors(simulation, fixes)
     said = [each for run in runs for each in run.said()]
     return [_figures(case, simulation, each, raw) for each in said]
-
-
-def _frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[Sample]:
-    """Frames of the ride; its fixes are appended on the way."""
-    resampler = Resampler(simulation.vehicle)
-    for sample in simulation.samples():
-        if sample.key not in resampler.inputs:
-            continue
-        if sample.key is keys.GNSS_FIX:
-            fixes.append(sample.message)
-        for released in resampler.step(sample):
-            if released.key is keys.SYNC_FRAME:
-                yield released
 
 
 class _Said:

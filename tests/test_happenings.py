@@ -100,6 +100,19 @@ def test_chance_jumps_come_as_often_as_asked_and_are_as_large() -> None:
     assert np.mean(lasts) == pytest.approx(4.0, rel=0.25)
 
 
+def test_no_chance_jump_is_longer_than_the_longest() -> None:
+    gnss = Gnss(jumps_per_min=6.0, jump_std_m=12.0, jump_max_m=30.0)
+    free = Gnss(jumps_per_min=6.0, jump_std_m=12.0)
+    capped, plain = (
+        np.array([offset.offset_l[:2] for offset in happenings(gnss=each).offsets])
+        for each in (gnss, free)
+    )
+    size, size_plain = np.hypot(*capped.T), np.hypot(*plain.T)
+    assert np.max(size_plain) > 30.0
+    np.testing.assert_allclose(size, np.minimum(size_plain, 30.0))
+    np.testing.assert_allclose(np.arctan2(*capped.T), np.arctan2(*plain.T))
+
+
 def test_chance_slides_while_braking_and_slips_while_starting() -> None:
     found = happenings(wheels=Wheels(slides_per_stop=1.0, slips_per_stop=1.0)).skids
     assert len(found) == 2 * (len(ride().dwells_s) - 1)

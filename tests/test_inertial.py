@@ -229,6 +229,17 @@ def test_imu_noise_has_the_variance_of_its_density_and_the_mean_of_its_bias() ->
         np.testing.assert_allclose(mean, bias, atol=CHI2_SIGMA * math.sqrt(variance / count))
 
 
+def test_means_of_a_second_are_as_noisy_at_any_rate() -> None:
+    """So a ride at 100 Hz means what one at 2 kHz does; rounding adds little to either."""
+    seconds = 400
+    for rate_hz in (100.0, 2000.0):
+        errors = ImuErrors(**{**_fields(STILL), "gyro_noise_radps_rthz": 0.00011344})
+        imu = Imu(np.random.default_rng(3), rate_hz, errors)
+        counts = imu.measure(*np.zeros((2, int(seconds * rate_hz), 3)))
+        means = np.mean(counts.gyro.reshape(seconds, -1, 3), axis=1) * imu.scales.gyro_radps
+        assert_variance(means, 0.00011344**2 + imu.scales.gyro_radps**2 / (12 * rate_hz))
+
+
 def allan_deviation(rate: Array, period_s: float, tau_s: float) -> Array:
     """theory.md section 2, from integrated readings; over the columns of `rate`."""
     m = round(tau_s / period_s)

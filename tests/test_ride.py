@@ -102,6 +102,20 @@ def test_every_stop_is_reached_exactly_and_kept_for_the_dwell() -> None:
         assert not np.any(motion.acceleration_mps2)
 
 
+def test_dwells_of_chance_lie_between_the_limits_and_differ() -> None:
+    limits = Limits(dwell_s=20.0, dwell_max_s=60.0)
+    ride, again, other = (
+        Ride(built_in_line(), limits, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    dwell = np.diff(ride.dwells_s, axis=1)[1:-1, 0]
+    assert np.all((dwell >= 20.0) & (dwell < 60.0))
+    assert np.mean(dwell) == pytest.approx(40.0, abs=4 * 40.0 / math.sqrt(12 * len(dwell)))
+    np.testing.assert_array_equal(ride.dwells_s, again.dwells_s)
+    assert np.all(ride.dwells_s[2:-1] != other.dwells_s[2:-1])
+    shortest = np.diff(Ride(built_in_line(), limits).dwells_s, axis=1)[1:-1, 0]
+    np.testing.assert_allclose(shortest, 20.0)
+
+
 def test_motion_has_no_jump_where_phases_meet() -> None:
     ride = built_in()
     edges = ride.phases.t0[1:]

@@ -14,9 +14,10 @@ from tramstream.ride import Ride
 from tramstream.scenario import GnssJump, Slide, Tunnel, load, names, parse, stated_std_m
 
 
-def test_every_work_has_its_scenario_and_the_city_is_ours() -> None:
+def test_every_work_has_its_scenario_and_city_and_matching_are_ours() -> None:
     assert names() == [
-        "chladek2023", "city", "kaspar2023", "konecny2004", "melenovsky2023", "pusman2017",
+        "chladek2023", "city", "kaspar2023", "konecny2004", "matching", "melenovsky2023",
+        "pusman2017",
     ]  # fmt: skip
 
 
@@ -69,6 +70,22 @@ def test_melenovsky2023_is_the_scenario_of_the_work() -> None:
     assert (errors.gyro_noise_radps_rthz, errors.gyro_walk_radps2_rthz) == (2e-3, 5e-5)
     assert stated_std_m(chosen.gnss) == (1.8, 2.2)
     assert (chosen.gnss.rate_hz, chosen.gnss.errors.velocity_std_mps) == (10.0, 0.5)
+
+
+def test_matching_is_the_scenario_of_the_issue() -> None:
+    # issue 4: sigma 2.5 m correlated, jumps to 30 m, stops of 20 to 60 s, any number of lines
+    chosen = load("matching")
+    driver, gnss = chosen.driver, chosen.gnss
+    assert (driver.dwell_s, driver.dwell_max_s) == (20.0, 60.0)
+    assert gnss is not None
+    assert (gnss.errors.horizontal_std_m, gnss.errors.decay) == (2.5, 0.95)
+    assert gnss.jump_max_m == 30.0
+    assert stated_std_m(gnss)[0] < gnss.errors.horizontal_std_m
+    assert chosen.imu is not None
+    assert (chosen.imu.rate_hz, chosen.imu.batch) == (100.0, 10)
+    city = load("city").imu
+    assert city is not None
+    assert chosen.imu.errors == city.errors
 
 
 def test_stated_deviation_is_that_of_the_errors_unless_it_is_given() -> None:
@@ -131,6 +148,7 @@ def test_events_are_told_apart_by_their_kind() -> None:
             '[[events]]\nkind = "gnss_jump"\nstop = 1\nest_m = 1.0',
             r"\$\.events\[0\]\.est_m: unknown field; did you mean east_m",
         ),
+        ("[driver]\ndwell_s = 20.0\ndwell_max_s = 10.0", r"not below `dwell_s`.*\$\.driver"),
         ("[imu", "not TOML"),
     ],
 )

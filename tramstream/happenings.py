@@ -173,14 +173,17 @@ class Happenings:
 
 
 def _multipath(gnss: Gnss, duration_s: float, rng: Generator) -> list[Offset]:
-    """Jumps of the fixes: a Poisson process, durations exponential, offsets normal."""
+    """Jumps of the fixes: a Poisson process, durations exponential, offsets normal but bounded."""
     count = int(rng.poisson(gnss.jumps_per_min / 60 * duration_s))
     starts = np.sort(rng.uniform(0, duration_s, count)).tolist()
     lasts = rng.exponential(gnss.jump_duration_s, count).tolist()
-    shifts = (rng.standard_normal((count, 2)) * gnss.jump_std_m).tolist()
+    shifts = rng.standard_normal((count, 2)) * gnss.jump_std_m
+    if gnss.jump_max_m is not None:
+        too_far = np.maximum(np.hypot(*shifts.T) / gnss.jump_max_m, 1.0)
+        shifts = shifts / too_far[:, None]
     return [
         Offset(start, start + last, (east, north, 0.0))
-        for start, last, (east, north) in zip(starts, lasts, shifts, strict=True)
+        for start, last, (east, north) in zip(starts, lasts, shifts.tolist(), strict=True)
     ]
 
 

@@ -15,7 +15,7 @@ import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,16 @@ class Track:
     """Chainages, None if the map has no stops."""
     length_m: float | None
     """By whose chainages; None: the length of the nodes' chain."""
+
+
+class Laid(NamedTuple):
+    """A line, and where beside the map's chain of nodes its points lie."""
+
+    line: Line
+    arc_length_m: Array
+    """Of points of the line, and"""
+    chainage_m: Array
+    """the chainage beside them, as the track counts it."""
 
 
 def load(source: str, geoid_m: float = PRAGUE_GEOID_M) -> Line:
@@ -117,6 +127,11 @@ def track(document: Any, name: str, chosen: str = "", geoid_m: float = PRAGUE_GE
 
 def lay(mapped: Track) -> Line:
     """Lay a smooth line along a mapped track."""
+    return lay_beside(mapped).line
+
+
+def lay_beside(mapped: Track) -> Laid:
+    """Lay a smooth line along a mapped track, and tell which point is beside which."""
     middle, ends = mapped.geodetic[len(mapped.geodetic) // 2], mapped.geodetic[:, 2]
     level = LocalLevel(float(middle[0]), float(middle[1]), float(np.mean(ends)))
     points = level.from_geodetic(mapped.geodetic)[:, :2]
@@ -132,7 +147,7 @@ def lay(mapped: Track) -> Line:
     course = fit(points, grade)
     ends_m = [0.0, float(chainage[-1])]
     stops_m = [stop * scale - begin_m for stop in mapped.stops_m] if mapped.stops_m else ends_m
-    return Line(
+    line = Line(
         course.segments,
         _stops(stops_m, course),
         level,
@@ -140,6 +155,7 @@ def lay(mapped: Track) -> Line:
         (*course.start, up),
         Relief(grade, usual_cant(course.segments)),
     )
+    return Laid(line, course.arc_length_m, (course.chainage_m + begin_m) / scale)
 
 
 def deviation_m(mapped: Track, line: Line) -> float:

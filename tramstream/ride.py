@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from tramstream.geodesy import convergence_rad
@@ -57,17 +58,25 @@ class Ride:
         What the driver keeps to.
     reverse : bool
         Drive with the rear in front: speed is negative all the way.
+    rng : Generator, optional
+        Of the dwells, where the limits have them differ; without it each is the shortest.
     """
 
     DOOR_S = 1.0
     """Doors open so long after the stop and close so long before the departure."""
 
-    def __init__(self, line: Line, limits: Limits | None = None, reverse: bool = False) -> None:
+    def __init__(
+        self,
+        line: Line,
+        limits: Limits | None = None,
+        reverse: bool = False,
+        rng: Generator | None = None,
+    ) -> None:
         self.line = line
         self.limits = limits or Limits()
         self.direction = -1.0 if reverse else 1.0
         """Of x of the vehicle against that of travel."""
-        self.phases = plan(line, self.limits)
+        self.phases = plan(line, self.limits, rng)
         self._standing = (self.phases.v0 == 0) & (self.phases.a0 == 0) & (self.phases.jerk == 0)
         ends = np.append(self.phases.t0[1:], np.inf)
         self.dwells_s = np.stack([self.phases.t0[self._standing], ends[self._standing]], axis=1)

@@ -80,6 +80,8 @@ class Gnss(Struct, frozen=True, kw_only=True):
     """Multipath: how often a fix jumps away for a while, on average."""
     jump_std_m: NotNegative = 5.0
     """Deviation of a jump per horizontal axis."""
+    jump_max_m: Positive | None = None
+    """A jump that would be longer is so long."""
     jump_duration_s: Positive = 8.0
     """Mean of the exponential distribution."""
     reacquisition_s: NotNegative = 2.0

@@ -76,17 +76,18 @@ class Simulation:
         self.line = line if scenario.track.cant else line.without_cant()
         self.scenario = scenario
         self.seed = seed
-        self.ride = Ride(self.line, scenario.driver, scenario.reverse)
+        happenings_rng, driver_rng = self._generators()[3:]
+        self.ride = Ride(self.line, scenario.driver, scenario.reverse, driver_rng)
         self.duration_s = self.ride.duration_s + scenario.end_s
         if duration_s is not None:
             self.duration_s = min(self.duration_s, duration_s)
-        self.happenings = Happenings(scenario, self.ride, self._generators()[3])
+        self.happenings = Happenings(scenario, self.ride, happenings_rng)
         self.vehicle: config.Vehicle = configuration(scenario)
         """The configuration that a vehicle with these sensors would have."""
 
     def _generators(self) -> list[Generator]:
-        """Of IMU, receiver, wheels and happenings."""
-        return np.random.default_rng(self.seed).spawn(4)
+        """Of IMU, receiver, wheels, happenings and driver."""
+        return np.random.default_rng(self.seed).spawn(5)
 
     def truth(self, stamp_ns: ArrayLike) -> Truth:
         """Give the exact state of the vehicle at instants of the vehicle clock."""
@@ -96,7 +97,7 @@ class Simulation:
 
     def samples(self) -> Iterator[Sample]:
         """All messages of the ride in the order of their publication."""
-        imu_rng, gnss_rng, wheels_rng, _ = self._generators()
+        imu_rng, gnss_rng, wheels_rng, *_ = self._generators()
         streams = [self._truths()]
         if self.scenario.imu is not None:
             streams.append(self._inertial(imu_rng))

@@ -18,6 +18,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from tramstream.config import NotNegative, Positive, Struct
@@ -37,8 +38,14 @@ class Limits(Struct, frozen=True, kw_only=True):
     jerk_mps3: Positive = 0.2
     lateral_mps2: Positive = 0.1
     dwell_s: NotNegative = 8.0
+    dwell_max_s: NotNegative | None = None
+    """At each stop the dwell is drawn evenly between `dwell_s` and this; None: all are alike."""
     first_dwell_s: NotNegative = 2.0
     """Short, so that a demo sees a departure at once."""
+
+    def __post_init__(self) -> None:
+        if self.dwell_max_s is not None and self.dwell_max_s < self.dwell_s:
+            raise ValueError("`dwell_max_s` is the longest dwell: not below `dwell_s`")
 
 
 class Phases(NamedTuple):
@@ -118,8 +125,11 @@ def _slower(leg: list[Region], index: int) -> list[float]:
     return [region.limit_mps for region in beside if region.limit_mps < leg[index].limit_mps]
 
 
-def plan(line: Line, limits: Limits) -> Phases:
-    """Plan a ride from the first stop to the last as phases of constant jerk."""
+def plan(line: Line, limits: Limits, rng: Generator | None = None) -> Phases:
+    """Plan a ride from the first stop to the last as phases of constant jerk.
+
+    `rng` draws the dwells, where they differ; without it each is the shortest.
+    """
     parts = regions(line, limits)
     speeds = _cut_speeds(parts, limits)
     rows: list[tuple[float, float, float, float, float]] = []
@@ -136,8 +146,14 @@ def plan(line: Line, limits: Limits) -> Phases:
             time += duration
         if part.stop:
             rows.append((time, part.end_m, 0.0, 0.0, 0.0))
-            time += limits.dwell_s
+            time += _dwell_s(limits, rng)
     return Phases(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def _dwell_s(limits: Limits, rng: Generator | None) -> float:
+    if limits.dwell_max_s is None or rng is None:
+        return limits.dwell_s
+    return float(rng.uniform(limits.dwell_s, limits.dwell_max_s))
 
 
 def _cut_speeds(parts: list[Region], limits: Limits) -> list[float]:

@@ -7,9 +7,11 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
+from small_network import small_network
 from typer.testing import CliRunner
 
 from tramstream.cli import reproduce as verb
@@ -73,6 +75,42 @@ def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
         ratio = total["position_p90_m"] / total["bound"]["position_p90_m"]
         assert total["over_bound"]["position_p90_m"] == pytest.approx(ratio)
     assert done.stderr.count("/4:") == 4
+
+
+def test_matching_wants_a_network_and_lines_that_it_has(tmp_path: Path) -> None:
+    missing = run("matching", "--json")
+    assert isinstance(missing.exception, ConfigError)
+    assert "--net" in str(missing.exception)
+    absent = run("matching", "--net", str(tmp_path / "no.net"))
+    assert isinstance(absent.exception, ConfigError)
+    path = tmp_path / "small.net"
+    small_network().save(path)
+    unknown = run("matching", "--net", str(path), "--line", "7", "--json")
+    assert isinstance(unknown.exception, ConfigError)
+    assert "it has 1/0" in str(unknown.exception)
+
+
+@pytest.mark.live
+def test_matching_prints_one_json_object_of_lines_and_detours(tmp_path: Path) -> None:
+    path = tmp_path / "small.net"
+    small_network().save(path)
+    options = ["--net", str(path), "--seeds", "2", "--detours", "1", "--duration-s", "45"]
+    command = [*COMMAND[:-1], "matching", *options, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=True)
+    figures = json.loads(done.stdout)
+    assert figures["missing_rides"] == 0
+    assert [(ride["route"], ride["seed"]) for ride in figures["rides"]] == [
+        ("1/0", 1), ("1/0", 2), ("detour", 1),
+    ]  # fmt: skip
+    assert [total["name"] for total in figures["overall"]] == ["1/0", "detour", "all"]
+    whole = figures["overall"][-1]
+    assert whole["right_track"]["count"] == sum(
+        ride["right_track"]["count"] for ride in figures["rides"]
+    )
+    bins = whole["reliability"]["most_probable"]
+    assert sum(each["count"] for each in bins) <= whole["right_track"]["count"]
+    assert all(each["low"] <= each["stated"] <= each["high"] for each in bins)
+    assert whole["nearest_to_fix"]["count"] > 0
 
 
 @pytest.mark.live
