@@ -56,7 +56,7 @@ def trace_of(
     rows = slice(None, None, round(every_s / networks.STEP_S))
     time, s = way.time_s[rows], way.s[rows]
     p_l = line.position_l(s)
-    p_l[:, :2] += np.column_stack([gauss_markov(rng, time, std_m, 10.0) for _ in range(2)])
+    p_l[:, :2] += np.column_stack([gauss_markov(rng, time, std_m, 60.0) for _ in range(2)])
     stamps = (networks.BEGIN_NS + np.round(time * S)).astype(np.int64)
     return stamps, line.level.to_geodetic(p_l)[:, :2], np.full(len(time), std_m)
 
@@ -69,17 +69,16 @@ def causal_runs(case: Made, drive: Driven) -> list[int]:
 
 # Rides --------------------------------------------------------------------------------------------
 def test_path_is_right_from_its_first_metre_though_the_matcher_was_in_doubt() -> None:
-    """It begins on one of two branches, 1 m apart there, and knows a kilometre later on which."""
+    """It begins on one of two tracks 3.3 m apart with fixes of 3 m; their ends differ a little."""
     case = networks.passing_loop(3000.0)
     loop = case.lines["left"].length_m
     doubted = 0
     for seed in range(6):
         name = "left" if seed % 2 else "right"
         line = case.path(name, "behind")
-        # Where the loop ends the two differ by curves alone; a filter with a good heading sees them.
         drive = driven(
             line,
-            steady(loop + 150.0, 8.0),
+            steady(loop + 130.0, 8.0, 20.0),
             Noise(3.0, time_s=300.0, yaw_std_rad=0.004),
             seed,
         )
@@ -88,9 +87,10 @@ def test_path_is_right_from_its_first_metre_though_the_matcher_was_in_doubt() ->
         causal = np.array(causal_runs(case, drive))
         inside = drive.course.s < loop - NEAR_M
         found = np.array([each.run for each in path.places])
-        if (causal[inside] != right).any():
-            doubted += 1
+        early = np.array([each.probability for each in path.places])[inside][:200]
+        doubted += int((early < 0.9).any() or (causal[inside] != right).any())
         assert len({*found[inside].tolist()}) == 1, "one run all the way"
+        assert {*found.tolist()} <= {case.run("left"), case.run("right"), case.run("behind")}
         assert (found[drive.course.s > loop + NEAR_M] == case.run("behind")).all()
         # What the causal matcher believes at the end of the loop, the path has from its beginning.
         last = int(np.flatnonzero(inside)[-1])
@@ -165,9 +165,9 @@ def test_legs_are_the_places_in_order() -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("taken", ["straight", "branch"])
 def test_trace_of_plain_fixes_finds_the_path(taken: str, seed: int) -> None:
-    """Fixes of 2 m every second, with a stop on the way."""
+    """Fixes of 2 m every second."""
     case = networks.switch()
-    way = course((200.0, 30.0), (0.0, 20.0), (220.0, 35.0))
+    way = steady(420.0, 8.0, 5.0)
     trace = trace_of(case.path("stem", taken), way, 2.0, seed)
     path = find_path(case.network, SETTINGS, trace_estimates(*trace), TRACE_FORGET_S)
     places = [each for each in path.places if each.stamp_ns > trace[0][0] + 12 * S]
@@ -178,6 +178,17 @@ def test_trace_of_plain_fixes_finds_the_path(taken: str, seed: int) -> None:
             assert place.run == (stem if s < 300.0 else right)
             chainage = place.chainage_m + 300.0 * (place.run == right)
             assert chainage == pytest.approx(s, abs=8.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_trace_that_jitters_at_a_stop_neither_turns_round_nor_leaves_the_map(seed: int) -> None:
+    """Fixes wander by some decimetres a second while the vehicle stands."""
+    case = networks.switch()
+    way = course((200.0, 30.0), (0.0, 20.0), (220.0, 35.0))
+    trace = trace_of(case.path("stem", "branch"), way, 2.0, seed)
+    path = find_path(case.network, SETTINGS, trace_estimates(*trace), TRACE_FORGET_S)
+    later = [each.run for each in path.places if each.stamp_ns > trace[0][0] + 12 * S]
+    assert {*later} == {case.run("stem"), case.run("branch")}
 
 
 def test_trace_on_double_track_is_on_the_one_whose_way_it_goes() -> None:
