@@ -50,8 +50,8 @@ def reproduce(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="kaspar2023: two wheels, one wheel, slip or white; may be given several times; "
-            "default all.",
+            help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m; "
+            "may be given several times; default all.",
         ),
     ] = None,
     duration_s: Annotated[
