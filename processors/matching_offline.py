@@ -33,6 +33,8 @@ TRACE_STD_M = 5.0
 HEADING_M = 8.0
 """The direction of a trace is that of so long a piece of it."""
 TRACE_YAW_STD_RAD = 0.25
+TURN_M = 3.0
+"""Who goes back by less has not turned."""
 STANDS_MPS = 0.4
 LONGEST_GAP_S = 60.0
 """A trace that is silent for longer is two."""
@@ -166,21 +168,26 @@ class PathFinder:
 def _directions(runs: NDArray[np.int64], plan: Array, network: Network) -> list[bool]:
     """Whether the vehicle moves along its x axis, point by point: by the run's rules and its way.
 
-    Where it stands, as it came.
+    It turned back where it was farthest, once it has gone `TURN_M` the other way: the errors of a
+    vehicle that stands are no motion.
     """
-    onwards, found = True, []
-    for k in range(len(runs)):
-        if k and runs[k] >= 0:
-            step = plan[k] - plan[k - 1]
-            if math.hypot(*step) > 0.05:
-                track = int(runs[k]) >> 1
-                part = network.samples_of(track)
-                near = np.hypot(network.east[part] - plan[k, 0], network.north[part] - plan[k, 1])
-                yaw = float(network.yaw_rad[part][int(np.argmin(near))])
-                along = step[0] * math.cos(yaw) + step[1] * math.sin(yaw)
-                onwards = (along > 0.0) == (int(runs[k]) % 2 == 0)
-        found.append(onwards)
-    return found
+    onwards = np.ones(len(runs), dtype=bool)
+    gone, farthest, far, sign = 0.0, 0.0, 0, 0
+    for k in range(1, len(runs)):
+        if runs[k] < 0:
+            continue
+        step, part = plan[k] - plan[k - 1], network.samples_of(int(runs[k]) >> 1)
+        near = np.hypot(network.east[part] - plan[k, 0], network.north[part] - plan[k, 1])
+        yaw = float(network.yaw_rad[part][int(np.argmin(near))])
+        along = step[0] * math.cos(yaw) + step[1] * math.sin(yaw)
+        gone += along if runs[k] % 2 == 0 else -along
+        ahead = gone - farthest
+        if abs(ahead) > TURN_M and ahead * sign <= 0.0:
+            sign = 1 if ahead > 0.0 else -1
+            onwards[far:] = sign > 0
+        if ahead * sign > 0.0:
+            farthest, far = gone, k
+    return [bool(each) for each in onwards]
 
 
 def _legs(places: list[Place]) -> list[Leg]:

@@ -392,6 +392,18 @@ def test_model_of_the_work_takes_the_map_too(short_map: Path) -> None:
     assert {each.run for each in said.matches[-1000:]} == {0}
 
 
+@pytest.mark.parametrize("seed", [1, 2, 6])
+def test_flawless_ride_on_an_exact_map_is_never_off_it(seed: int, short_map: Path) -> None:
+    """From the first metre with a heading on, though that heading is 3° off at first."""
+    said = step(with_map(short(seed), short_map), short(seed).frames[:3500])
+    known = [
+        match.state
+        for match, state in zip(said.matches, said.states, strict=True)
+        if state.mode == TRACKING
+    ]
+    assert {*known} == {MapMatch.ON_TRACK}
+
+
 # A tunnel -----------------------------------------------------------------------------------------
 BEFORE = "| 80 L60/90 60 R50/80 60 | 80 R50/90 60 L70/70 60 "
 TUNNEL_M, TUNNEL_MPS = 1200.0, 10.0
