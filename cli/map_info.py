@@ -29,7 +29,7 @@ def info(
     from tramstream.network import load
 
     if out is not None:
-        from tramstream.cli.network_page import make_place
+        from tramstream.cli.page_file import make_place
 
         make_place(out, [net], overwrite)
     started_s = time.perf_counter()
@@ -40,7 +40,7 @@ def info(
     figures |= describe(network)
     if out is not None:
         from tramstream.cli.map_info_page import compose
-        from tramstream.cli.network_page import write
+        from tramstream.cli.page_file import write
 
         write(out, compose(network, net.name, figures))
         figures["out"] = str(out)

@@ -36,7 +36,7 @@ def match(
     from rich.console import Console
 
     from tramstream.cli.match_source import match as match_file
-    from tramstream.cli.network_page import make_place
+    from tramstream.cli.page_file import make_place
     from tramstream.network import load
     from tramstream.network_lines import references
 
@@ -50,7 +50,7 @@ def match(
         figures = {"file": str(file), "net": str(net), **describe(network, known, source)}
         if out is not None:
             from tramstream.cli.map_match_page import compose
-            from tramstream.cli.network_page import write
+            from tramstream.cli.page_file import write
 
             write(out, compose(network, source, figures))
             figures["out"] = str(out)

@@ -6,10 +6,8 @@ Arrows, switches and names appear as one comes closer.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,8 +48,6 @@ from tramstream.cli.report_charts import (
     legend,
     plain_figure,
 )
-from tramstream.cli.session import make_room
-from tramstream.errors import ConfigError
 from tramstream.network import BACKWARDS, FORWARDS, Array, Network, RouteLine
 from tramstream.network_lines import path_of
 
@@ -347,25 +343,3 @@ class NetworkFigure:
 def _plain(name: str) -> str:
     """A name without what bokeh or a browser would read as more than text."""
     return "".join(letter for letter in name if letter not in "@$<>&{}")
-
-
-def make_place(out: Path, sources: Sequence[Path], overwrite: bool, option: str = "--out") -> None:
-    """Refuse an output that would be in the wrong place, before it is made.
-
-    Raises
-    ------
-    ConfigError
-        One sentence with the file and the cure.
-    """
-    make_room(out, sources, overwrite=False)
-    if out.exists() and not overwrite:
-        raise ConfigError(f"{out}: exists already; choose another {option} or give --overwrite")
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"{out}: its folder does not exist; make it or choose another {option}")
-
-
-def write(out: Path, page: str) -> None:
-    """Write a page whole or not at all."""
-    unfinished = out.with_name(out.name + ".part")
-    unfinished.write_text(page, encoding="utf-8")
-    os.replace(unfinished, out)

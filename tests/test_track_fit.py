@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from tramstream.geodesy import LocalLevel
 from tramstream.line import Line, Segment, built_in_line, curve
-from tramstream.line import LocalLevel as Level
 from tramstream.track_curve import between, bridge_variances, lengths_m, variances
 from tramstream.track_fit import Curves, Fit, fit
 from tramstream.track_smoother import (
@@ -43,16 +44,7 @@ def errors(fitted: Fit, line: Line) -> tuple[Array, Array, Array, Array]:
     """Left of the true curve, m, in yaw, rad, in curvature, 1/m; and the true curvature."""
     dense = np.arange(0.0, line.length_m, 0.05)
     track = line.position_l(dense)[:, :2]
-    nearest = np.array(
-        [
-            begin + int(np.argmin(np.sum((track[begin : begin + 4000] - point) ** 2, axis=1)))
-            for point, begin in zip(
-                fitted.position,
-                np.clip(20 * np.arange(len(fitted.position)) - 2000, 0, len(dense) - 1),
-                strict=True,
-            )
-        ]
-    )
+    nearest = cKDTree(track).query(fitted.position)[1]
     yaw, bent = line.yaw_rad(dense[nearest]), line.curvature_per_m(dense[nearest])
     away = fitted.position - track[nearest]
     left = np.cos(yaw) * away[:, 1] - np.sin(yaw) * away[:, 0]
@@ -128,7 +120,7 @@ def test_exact_nodes_are_passed_through_and_curvature_is_the_tracks() -> None:
         *curve(50.0, -1.0),
         Segment(80.0),
     ]
-    line = Line(segments, [0.0], Level(0.87, 0.25, 300.0))
+    line = Line(segments, [0.0], LocalLevel(0.87, 0.25, 300.0))
     at = np.arange(0.0, line.length_m, 3.0)
     nodes = line.position_l(at)[:, :2]
     fitted = fit(one(nodes), node_std_m=0.02)

@@ -49,6 +49,8 @@ DRAWS = 48
 """Deviations from so many draws are good to a tenth."""
 _VOID = -32768
 _SIZES = (1201, 3601)
+_EDGE = 1e-6
+"""Pixels; degrees that were radians are not what they were."""
 _VAGUE_M = 1000.0
 """Where no tile is, a height may be anything."""
 
@@ -67,7 +69,9 @@ class Tile:
         steps = self.height.shape[0] - 1
         row = (self.south_deg + 1 - np.degrees(latitude_rad)) * steps
         column = (np.degrees(longitude_rad) - self.west_deg) * steps
-        inside = (row >= 0) & (row <= steps) & (column >= 0) & (column <= steps)
+        middle = steps / 2
+        inside = np.maximum(np.abs(row - middle), np.abs(column - middle)) < middle + _EDGE
+        row, column = np.clip(row, 0, steps), np.clip(column, 0, steps)
         i = np.clip(np.floor(row), 0, steps - 1).astype(np.int64)
         j = np.clip(np.floor(column), 0, steps - 1).astype(np.int64)
         down, right = row - i, column - j

@@ -255,8 +255,9 @@ def load(path: Path) -> Network:
         raise ConfigError(
             f"{path}: is no track network; `tramstream map build` makes one"
         ) from error
+    unpacked: dict[str, Any] = {name: _unpacked(name, array) for name, array in arrays.items()}
     return Network(
-        **{name: _unpacked(name, array) for name, array in arrays.items()},
+        **unpacked,
         stops=tuple(Stop(*each) for each in names.pop("stops")),
         ways=tuple(Way(*each) for each in names.pop("ways")),
         lines=tuple(_line(each) for each in names.pop("lines")),

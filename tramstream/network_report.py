@@ -28,6 +28,7 @@ GAP_M = 5.0
 """Ends of track as near to each other, one ahead of the other, look like one that was torn."""
 KINK_PER_M = 1 / 13.0
 """Curvature that no tram takes; Prague's tightest curves have 18 m."""
+SWITCH_M = 10.0
 CORNER_RAD = math.radians(45.0)
 """So much of a curve nobody draws with one node."""
 CURVE_PER_M = 1 / 60.0
@@ -258,11 +259,16 @@ def _preferences(extract: Extract) -> Iterator[Finding]:
 
 
 def _kinks(topology: Topology, network: Network, laid: Laid) -> Iterator[Finding]:
-    """Places where the smoothed curve bends as no track does, and corners of the map."""
+    """Places where the smoothed curve bends as no track does, and corners of the map.
+
+    Not beside nodes: every other switch is drawn with a kink, which the deviations there tell.
+    """
     for track, chain in enumerate(topology.chains):
         samples, arc = network.samples_of(track), laid.node_arc_m(track)
         bent = np.abs(network.curvature_per_m[samples])
-        sharp = np.flatnonzero(bent > KINK_PER_M)
+        away = np.linspace(0.0, network.length_m[track], len(bent))
+        away = np.minimum(away, away[::-1])
+        sharp = np.flatnonzero((bent > KINK_PER_M) & (away > SWITCH_M))
         told = set()
         for part in np.split(sharp, np.flatnonzero(np.diff(sharp) > 1) + 1) if len(sharp) else ():
             worst = int(part[np.argmax(bent[part])])

@@ -59,6 +59,10 @@ NODES_TO_LEARN = 200
 """With fewer of them the law stays."""
 BINS, RANGE_TO_LEARN = 8, 0.5
 """Bins of distance that the law is fitted to, and how far their logarithms must range."""
+LEAVES_OUT = 10
+NODES_TO_SCALE = 20
+BLUNDER = 4.0
+"""What lies off by more deviations is a blunder of the map, and counts as that."""
 _SIGMA_MIN_M = 1e-3
 _SPACING_MIN_M = 0.01
 """Nodes in one place keep their order."""
@@ -76,8 +80,8 @@ class Curves(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Errors of the curves, fitted without a node, at that node: across, for each own node but
-    the ends of chains."""
+    """Errors of curves at nodes that they were fitted without: across, for every `LEAVES_OUT`th
+    own node but the ends of chains."""
 
     error_m: Array
     std_m: Array
@@ -135,12 +139,13 @@ def fit(curves: Curves, node_std_m: float | None = None) -> Fit:
         Deviation σ of the nodes per axis, where it is known: it is then neither learnt nor scaled.
     """
     found = _Learnt(np.array([FIRST_POWER, np.log(FIRST_Q)]), node_std_m or FIRST_NODE_STD_M)
-    learns_sigma = node_std_m is None
-    steps, found = _learn(curves, _chords(curves), found, learns_sigma)
-    steps, (_, sigma) = _learn(curves, _arc_lengths(curves, steps), found, learns_sigma)
-    left_out = _left_out(curves, steps, sigma)
-    if learns_sigma and len(left_out.error_m):
-        scale = float(np.sqrt(np.mean((left_out.error_m / left_out.std_m) ** 2)))
+    learns = True, node_std_m is None
+    steps, found = _learn(curves, _chords(curves), found, learns)
+    steps, found = _learn(curves, _arc_lengths(curves, steps), found, learns)
+    left_out, sigma = _left_out(curves, steps.u, found), found.sigma
+    if node_std_m is None and len(left_out.error_m) >= NODES_TO_SCALE:
+        share = np.minimum(np.abs(left_out.error_m) / left_out.std_m, BLUNDER)
+        scale = float(np.sqrt(np.mean(share**2)))
         scale = max(scale, _SIGMA_MIN_M / sigma)  # nodes that a computer has drawn
         left_out = left_out._replace(std_m=left_out.std_m * scale)
         sigma *= scale
@@ -184,8 +189,8 @@ def _run(curves: Curves, u: Array, q: Array, sigma: float) -> _Steps:
     return _Steps(u, q, x, P, cross, evidence)
 
 
-def _learn(curves: Curves, u: Array, found: _Learnt, learns_sigma: bool) -> tuple[_Steps, _Learnt]:
-    """Estimate q of each step, its law and, if wanted, σ, from where they are; see the module."""
+def _learn(curves: Curves, u: Array, found: _Learnt, learns: tuple[bool, bool]) -> tuple[_Steps, _Learnt]:
+    """Estimate q of each step, and where wanted its law and σ, from where they are; see the module."""
     middle, spacing = _spacing(curves, u)
     chosen = curves.own.copy()
     chosen[curves.starts[1:] - 1] = False
@@ -197,12 +202,13 @@ def _learn(curves: Curves, u: Array, found: _Learnt, learns_sigma: bool) -> tupl
         spread(curves.starts, middle, steps.evidence, REACH_M, around)
         q = (around[:, 0] * q + DOUBT * expected) / (around[:, 1] + DOUBT)
         q = np.maximum(q, Q_MIN)
-        if learns_sigma:
+        if learns[1]:
             told = 1 - steps.P[curves.own, 0, 0] / sigma**2
             residual = _across(curves, steps)[curves.own]
             sigma = max(float(np.sqrt(np.sum(residual**2) / np.sum(told))), _SIGMA_MIN_M)
-        law = _learnt_law(law, spacing[chosen], q[chosen])
-        expected = _power_law(law, spacing)
+        if learns[0]:
+            law = _learnt_law(law, spacing[chosen], q[chosen])
+            expected = _power_law(law, spacing)
     return _run(curves, u, q, sigma), _Learnt(law, sigma)
 
 
@@ -247,13 +253,32 @@ def _across(curves: Curves, steps: _Steps) -> Array:
     return left
 
 
-def _left_out(curves: Curves, steps: _Steps, sigma: float) -> LeftOut:
-    """Errors at left-out nodes, in closed form: q and σ stay as they are."""
-    chosen = curves.own.copy()
-    chosen[curves.starts[:-1]] = chosen[curves.starts[1:] - 1] = False
-    rest = np.maximum(sigma**2 - steps.P[chosen, 0, 0], 1e-6 * sigma**2)
-    error = _across(curves, steps)[chosen] * sigma**2 / rest
-    return LeftOut(error, sigma**2 / np.sqrt(rest), _bending(steps.x[chosen]))
+def _left_out(curves: Curves, u: Array, found: _Learnt) -> LeftOut:
+    """Fit anew without every `LEAVES_OUT`th node and see how far off the curves are there.
+
+    The law of q and σ stay; what is learnt from place to place is learnt without these nodes.
+    """
+    chosen = np.arange(len(u)) % LEAVES_OUT == LEAVES_OUT // 2
+    for ends in (curves.starts[:-1], curves.starts[1:] - 1):
+        chosen[ends] = False
+    out = np.flatnonzero(chosen & curves.own)
+    kept = np.ones(len(u), dtype=bool)
+    kept[out] = False
+    starts = np.concatenate([[0], np.cumsum(kept)])[curves.starts]
+    rest = Curves(starts, curves.points[kept], curves.own[kept])
+    steps, _ = _learn(rest, u[kept], found, (False, False))
+    before = np.cumsum(kept)[out] - 1
+    begin, end = steps.x[before], steps.x[before + 1]
+    h = steps.u[before + 1] - steps.u[before]
+    share = (u[out] - steps.u[before]) / h
+    direction, bend = (between(begin, end, h, share, derivative) for derivative in (1, 2))
+    away = curves.points[out] - between(begin, end, h, share)
+    left = direction[:, 0] * away[:, 1] - direction[:, 1] * away[:, 0]
+    joint = (steps.P[before], steps.cross[before], steps.P[before + 1])
+    variance = variances(joint, h, share, steps.q[before])[0] + found.sigma**2
+    return LeftOut(
+        left / np.hypot(*direction.T), np.sqrt(variance), curvature_per_m(direction, bend)
+    )
 
 
 def _bending(x: Array) -> Array:
