@@ -10,8 +10,8 @@ import typer
 
 if TYPE_CHECKING:
     from tramstream.cli.match_source import Source
+    from tramstream.linear_reference import References
     from tramstream.network import Network
-    from tramstream.network_lines import References
     from tramstream.processors.matching_offline import Leg
 
 
@@ -37,8 +37,8 @@ def match(
 
     from tramstream.cli.match_source import match as match_file
     from tramstream.cli.page_file import make_place
+    from tramstream.linear_reference import references
     from tramstream.network import load
-    from tramstream.network_lines import references
 
     for target, option in ((out, "--out"), (csv, "--csv")):
         if target is not None:

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
+from tramstream.linear_reference import References, references
 from tramstream.network import BACKWARDS, FORWARDS, Array, Network, Way
-from tramstream.network_lines import References, path_of, references
+from tramstream.network_lines import path_of
 
 THIN_M = 0.15
 """Less than a pixel until a screen shows 200 m."""

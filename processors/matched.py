@@ -11,6 +11,7 @@ from tramstream import network as networks
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel
+from tramstream.linear_reference import references
 from tramstream.localisation import Estimate, OnTrack
 from tramstream.map_frame import MapFrame
 from tramstream.network import PARTNER_LEFT, PARTNER_RIGHT, Network
@@ -52,6 +53,7 @@ class Matched:
             self.complaints.append(f"$.map.network: {error}; localisation goes on without the map")
             return
         self._matcher = Matcher(network, vehicle.map, pivot_m=vehicle.ekf.pivot_m)
+        self._references = references(network)
 
     def take(self, estimate: Estimate, level: LocalLevel) -> tuple[MapMatch, OnTrack | None] | None:
         """Match an estimate; None while there is nothing to say."""
@@ -66,7 +68,14 @@ class Matched:
             return None
         if match.run < 0:
             self._tell_far(matcher)
-        return message_of(matcher, match, frame, estimate.standing), match.on_track
+        message = message_of(matcher, match, frame, estimate.standing)
+        if match.run >= 0:
+            for each in self._references.at(match.run, match.chainage_m):
+                line = matcher.network.lines[each.line]
+                message.references.add(
+                    line=line.line, direction=line.direction, chainage_m=each.chainage_m
+                )
+        return message, match.on_track
 
     def _tell_far(self, matcher: Matcher) -> None:
         if self._told_far:
@@ -113,6 +122,7 @@ def message_of(matcher: Matcher, match: Match, frame: MapFrame, standing: bool) 
     if match.run < 0:
         return MapMatch(
             state=MapMatch.OFF_MAP,
+            run=-1,
             off_probability=match.off_probability,
             standing=standing,
             direction_known=match.headed,

@@ -30,6 +30,8 @@ WRONG_WAY = 1e-4
 """Share of vehicles that are met where trams are not meant to go."""
 HEADS_RAD = math.radians(60.0)
 """No vehicle heads so far off its track, whatever its filter believes at first."""
+GAP_S = 1.0
+"""After a longer silence tracks are looked for anew: nobody knows which way was gone."""
 AGAIN_S = 1.0
 AGAIN_M = 10.0
 """Tracks are looked for again after so long without a heading, after so long a way off the map."""
@@ -80,6 +82,8 @@ class Matcher:
         Time in which errors of the estimates forget themselves.
     pivot_m : float
         The vehicle's origin before the point that follows the rails.
+    corrects : bool
+        Whether `Match.on_track` goes back into the filter that the estimates are of.
     """
 
     def __init__(
@@ -88,11 +92,13 @@ class Matcher:
         settings: Map,
         forget_s: float = FORGET_S,
         pivot_m: float = 0.0,
+        corrects: bool = True,
     ) -> None:
         self.network = network
         self._rails = rails_of(network)
         self._names: dict[int, str] = {}
         self._search = Search(network)
+        self._corrects = corrects
         self.memory = np.zeros(kernels.MEMORY)
         self._begin()
         self._constants = np.array([forget_s, settings.std_m, settings.correlation_m, pivot_m])
@@ -103,6 +109,7 @@ class Matcher:
         self._looked_ns = 0
         self._way_m = 0.0  # since tracks were looked for
         self._headed = False
+        self._guessed = False  # the direction of travel
 
     def _begin(self) -> None:
         self.memory[: kernels.HEAD] = 0.0
@@ -155,7 +162,8 @@ class Matcher:
         z = self._motion
         dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
         headed = estimate.mode != HEADING_UNKNOWN
-        z[kernels.STEP] = min(max(dt, 0.0), 1.0)
+        gap = dt > GAP_S
+        z[kernels.STEP] = min(max(dt, 0.0), GAP_S)
         z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
         self._stamp_ns = estimate.stamp_ns
         steps.advance(
@@ -167,11 +175,13 @@ class Matcher:
             z,
             self._out,
         )
-        if self._due(estimate, headed):
+        if self._due(estimate, headed) or gap:
             self._look(headed)
             steps.summary(
                 self.memory, self._rails, z, self._constants, frame.numbers, False, self._out
             )
+        if not self._corrects:
+            self.memory[kernels.SYNCED] = kernels.NONE
         return self._match(headed)
 
     # Where hypotheses come from ------------------------------------------------------------------
@@ -183,6 +193,9 @@ class Matcher:
             return True
         if not headed:
             return estimate.stamp_ns - self._looked_ns >= AGAIN_S * S
+        if self._guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
+            self._guessed = False
+            return bool(z[kernels.SPEED] * self.memory[kernels.DIRECTION] < 0.0)
         if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
             return False
         self._way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
@@ -194,7 +207,8 @@ class Matcher:
         self._looked_ns, self._way_m = self._stamp_ns, 0.0
         memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
         speed = z[kernels.SPEED]
-        if abs(speed) > MOVES_MPS:
+        self._guessed = abs(speed) <= MOVES_MPS
+        if not self._guessed:
             memory[kernels.DIRECTION] = math.copysign(1.0, speed)
         std = math.sqrt(max(z[kernels.P_EE], z[kernels.P_NN], 0.0))
         radius = min(SEARCH_STDS * std + SEARCH_MORE_M, SEARCH_MOST_M)
@@ -227,14 +241,9 @@ class Matcher:
     def _match(self, headed: bool) -> Match:
         out: list[float] = self._out.tolist()
         best, off = out[steps.BEST], out[steps.OFF_PROBABILITY]
-        others = tuple(
-            Candidate(int(run), s, probability)
-            for run, s, probability in zip(
-                *(out[steps.OTHER + part :: 3] for part in range(3)), strict=False
-            )
-        )[: int(out[steps.OTHERS])]
+        others = tuple(self._other(out, k) for k in range(int(out[steps.OTHERS])))
         if best < 0.0 or off > LOST:
-            return Match(-1, 0.0, 0.0, 0.0, max(off, 1.0 - out[1]), 0.0, 0.0, others, None, headed)
+            return Match(-1, 0.0, 0.0, 0.0, off, 0.0, 0.0, others, None, headed)
         on_track = OnTrack(*out[steps.CERTAINLY + 1 : steps.OUT]) if out[steps.CERTAINLY] else None
         return Match(
             int(out[steps.EDGE]),
@@ -249,6 +258,15 @@ class Matcher:
             headed,
         )
 
+    def _other(self, out: list[float], k: int) -> Candidate:
+        """Another run, in the direction of motion."""
+        run, s, probability = out[steps.OTHER + 3 * k : steps.OTHER + 3 * k + 3]
+        length = float(self._rails.length_m[int(run) >> 1])
+        s = min(max(s, 0.0), length)
+        if self.memory[kernels.DIRECTION] > 0.0:
+            return Candidate(int(run), s, probability)
+        return Candidate(int(run) ^ 1, length - s, probability)
+
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
         return {
@@ -257,9 +275,11 @@ class Matcher:
             "looked_ns": self._looked_ns,
             "way_m": self._way_m,
             "headed": self._headed,
+            "guessed": self._guessed,
         }
 
     def restore(self, state: State) -> None:
         self.memory[:] = state["memory"]
         self._stamp_ns, self._looked_ns = state["stamp_ns"], state["looked_ns"]
         self._way_m, self._headed = state["way_m"], state["headed"]
+        self._guessed = state["guessed"]

@@ -35,14 +35,14 @@ AHEAD = 4
 NONE, END = -1.0, -2.0
 """No run known; no rails."""
 
-COUNT, WAY, OFF, SYNCED, LINEAGE, EVENTS, DIRECTION, KNOWN, BACK = range(9)
+COUNT, WAY, OFF, SYNCED, LINEAGE, EVENTS, DIRECTION, KNOWN, BACK, FACED = range(10)
 """Header: hypotheses; way since the last weighing, m; logarithmic weight of being off the map; run
 on which the filter was put onto the rails, or NONE; last number of a lineage; events since they
 were read; sign of the motion along x; whether the filter's last covariance is there; way against
-that direction, m;"""
-FILTER_P = 9
+that direction, m; heading of the filter at the last step;"""
+FILTER_P = 10
 """covariance of the filter's last place and heading: ee, en, nn, heading."""
-HEAD = 13
+HEAD = 14
 RUN, CHAINAGE, BEFORE, NEXT = 0, 1, 2, 3
 Q_EAST = NEXT + AHEAD
 Q_NORTH, OFFSET = Q_EAST + 1, Q_EAST + 2
@@ -64,9 +64,10 @@ EAST, NORTH, YAW, SPEED, TURN, STEP, STANDING, HEADED, P_EE, P_EN, P_NN, P_YAW =
 MOTION = 12
 """Of the filter, in the plan: place of the point that follows the rails; level speed along x; turn
 and duration of this step; flags; covariance of place and heading."""
-A_EE, A_EN, A_NE, A_NN, L_EAST, L_NORTH, PLAN_EAST, PLAN_NORTH, ROTATION = range(9)
-FRAME = 9
-"""plan = A (l − l₀) + plan₀, and the angle that A turns by."""
+(
+    A_EE, A_EN, A_EU, A_NE, A_NN, A_NU, L_EAST, L_NORTH, L_UP, PLAN_EAST, PLAN_NORTH, ROTATION,
+) = range(12)  # fmt: skip
+"""plan = A (l − l₀) + plan₀, and the angle that A turns by: `tramstream.map_frame`."""
 FORGET_S, STD_M, CORRELATION_M, PIVOT_M = range(4)
 CONSTANTS = 4
 """Time in which the filter's error forgets itself; σ_map; length over which the map's error is the
@@ -114,8 +115,9 @@ def read_motion(values: Array, frame: Array, c: Array, z: Array) -> None:
     yaw, v = values[6], values[3] * math.cos(values[5])
     e = values[0] - c[PIVOT_M] * math.cos(yaw) - frame[L_EAST]
     n = values[1] - c[PIVOT_M] * math.sin(yaw) - frame[L_NORTH]
-    z[EAST] = frame[PLAN_EAST] + frame[A_EE] * e + frame[A_EN] * n
-    z[NORTH] = frame[PLAN_NORTH] + frame[A_NE] * e + frame[A_NN] * n
+    u = values[2] - frame[L_UP]
+    z[EAST] = frame[PLAN_EAST] + frame[A_EE] * e + frame[A_EN] * n + frame[A_EU] * u
+    z[NORTH] = frame[PLAN_NORTH] + frame[A_NE] * e + frame[A_NN] * n + frame[A_NU] * u
     z[YAW], z[SPEED], z[TURN] = yaw + frame[ROTATION], v, values[YAW_RATE]
     cos, sin = math.cos(frame[ROTATION]), math.sin(frame[ROTATION])
     ee, en, nn = V[0, 0], V[0, 1], V[1, 1]
@@ -181,6 +183,11 @@ def carry(M: Array, rails: Rails, z: Array, c: Array) -> None:
     moving = z[STANDING] == 0.0
     keep = math.exp(-step / c[FORGET_S]) if moving else 1.0
     fresh = 1.0 - keep * keep
+    # What the filter's heading has jumped by is no turn of the vehicle; neither h nor q goes along.
+    jumped = 0.0
+    if M[KNOWN] != 0.0:
+        jumped = wrapped(z[YAW] - M[FACED] - z[TURN] * step)
+    M[FACED] = z[YAW]
     grown_e = grown_n = grown_h = 0.0
     if M[KNOWN] != 0.0:
         grown_e = max(z[P_EE] - M[FILTER_P], 0.0)
@@ -197,11 +204,11 @@ def carry(M: Array, rails: Rails, z: Array, c: Array) -> None:
             C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
             C[2, 2] = z[P_YAW]
         elif moving:
-            yaw = z[YAW] + h[OFFSET] - 0.5 * z[TURN] * step
+            yaw = z[YAW] - jumped + h[OFFSET] - 0.5 * z[TURN] * step
             de, dn = way * math.cos(yaw), way * math.sin(yaw)
             h[Q_EAST] = z[EAST] + keep * (h[Q_EAST] + de - z[EAST])
             h[Q_NORTH] = z[NORTH] + keep * (h[Q_NORTH] + dn - z[NORTH])
-            h[OFFSET] *= keep
+            h[OFFSET] = keep * (h[OFFSET] - jumped)
             for i in range(3):  # P ← F P Fᵀ: a false heading moves q sideways
                 C[0, i] -= dn * C[2, i]
                 C[1, i] += de * C[2, i]
@@ -287,9 +294,11 @@ def on_rails(
         s, across, yaw, k = beside(rails, run, s, h[Q_EAST], h[Q_NORTH])
     h[CHAINAGE] = s
     length = rails.length_m[run >> 1]
+    # Beyond the end of all rails: a metre each way is the map's, the rest is the hypothesis' own.
     over = max(s - length if h[NEXT] < 0.0 else 0.0, -s if h[BEFORE] < 0.0 else 0.0)
-    if over > SLACK_M:  # beyond the end of all rails
-        cost += min(over * over, WEIGHS_MOST) * share
+    if over > SLACK_M:
+        C = h[P : P + 9].reshape((3, 3))
+        cost += over * over * share / (1.0 + min(C[0, 0] + C[1, 1], 25.0) / 4.0)
     return cost, S, S_yaw
 
 

@@ -86,12 +86,13 @@ class PathFinder:
 
     def __init__(self, network: Network, settings: Map, forget_s: float = FORGET_S) -> None:
         self._network = network
-        self._matcher = Matcher(network, settings, forget_s)
+        self._matcher = Matcher(network, settings, forget_s, corrects=False)
         self._came_from: dict[int, tuple[int, int, int]] = {}  # lineage: parent, run, step
         self._stamps: list[int] = []
         self._plan: list[tuple[float, float]] = []
         self._known: list[dict[int, float]] = []
-        self._ends: list[tuple[int, int]] = []  # step and lineage where hypotheses began anew
+        self._ends: list[tuple[int, int]] = []  # step and lineage where hypotheses ended
+        self._on_map = False
 
     def take(self, estimate: Estimate, frame: MapFrame) -> None:
         """Take the next estimate."""
@@ -103,8 +104,12 @@ class PathFinder:
         step = len(self._stamps)
         count = int(memory[kernels.EVENTS])
         events = memory[kernels.LOG : kernels.LOG + kernels.EVENT * kernels.EVENT_COUNT]
+        if match.run < 0 and best >= 0 and self._on_map:
+            self._ends.append((step, best))
+        self._on_map = match.run >= 0
         for lineage, parent, run, _ in events.reshape(-1, kernels.EVENT)[:count].tolist():
-            if parent < 0.0 and best >= 0 and (not self._ends or self._ends[-1][0] != step):
+            begun_anew = parent < 0.0 and best >= 0 and self._on_map
+            if begun_anew and (not self._ends or self._ends[-1][0] != step):
                 self._ends.append((step, best))
             self._came_from[int(lineage)] = int(parent), int(run), step
         memory[kernels.EVENTS] = 0.0
@@ -260,9 +265,10 @@ def trace_estimates(
     p_l = level.from_geodetic(rows)[:, :2]
     time_s = (stamp_ns - stamp_ns[0]) / S
     std = np.where(np.isfinite(std_m), std_m, TRACE_STD_M)
-    count = max(math.ceil(time_s[-1] / TRACE_STEP_S), 1)
+    count = math.ceil(time_s[-1] / TRACE_STEP_S)
     at = np.linspace(0.0, time_s[-1], count + 1)
-    gap = np.interp(at, time_s[1:], np.diff(time_s)) if len(time_s) > 1 else np.zeros(len(at))
+    after = np.minimum(np.searchsorted(time_s, at), len(time_s) - 1)
+    gap = np.append(0.0, np.diff(time_s))[after]
     p = np.stack([np.interp(at, time_s, p_l[:, axis]) for axis in (0, 1)], axis=1)
     deviation = np.interp(at, time_s, std)
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))])

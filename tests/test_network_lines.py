@@ -11,9 +11,10 @@ from handmade_network import BOTH, RING_M, TOWN, TOWN_STOPS, Track, made, town
 
 from tramstream import osm
 from tramstream.line_requests import LineRequest, read
+from tramstream.linear_reference import references
 from tramstream.network import Network, RouteLine, Stop, Way
 from tramstream.network_build import build
-from tramstream.network_lines import lay_lines, path_of, place_stops, references
+from tramstream.network_lines import lay_lines, path_of, place_stops
 from tramstream.osm import Extract, OsmWay
 
 MM = 1e-3

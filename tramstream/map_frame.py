@@ -18,6 +18,7 @@ from tramstream.network import Network
 MOVED_M = 100.0
 """The linear map is laid anew after so much."""
 _STEP_M = 1.0
+_STEPS_M = np.vstack([np.zeros(3), np.eye(3) * _STEP_M])
 
 
 class MapFrame:
@@ -25,14 +26,15 @@ class MapFrame:
 
     Attributes
     ----------
-    numbers : ndarray, shape (9,)
-        Of plan = A (l − l₀) + plan₀: A row by row, l₀, plan₀, the angle that A turns by, rad.
+    numbers : ndarray, shape (12,)
+        Of plan = A (l − l₀) + plan₀, where the plumb line through l₀ is no normal of the plan: A
+        (2, 3) row by row, l₀ (3), plan₀ (2), the angle that A turns by, rad.
     """
 
     def __init__(self, network: Network, level: LocalLevel) -> None:
         self._network = network
         self.level = level
-        self.numbers = np.zeros(9)
+        self.numbers = np.zeros(12)
         self._at = np.full(3, math.inf)
         self._geodetic = np.zeros((3, 2))
 
@@ -42,19 +44,18 @@ class MapFrame:
         if max(abs(east - at[0]), abs(north - at[1]), abs(up - at[2])) < MOVED_M:
             return
         self._at[:] = east, north, up
-        steps = np.array([[0.0, 0.0, 0.0], [_STEP_M, 0.0, 0.0], [0.0, _STEP_M, 0.0]])
-        geodetic = self.level.to_geodetic(self._at + steps)
+        geodetic = self.level.to_geodetic(self._at + _STEPS_M)
         plan = self._network.plan_of(geodetic)
         A = ((plan[1:] - plan[0]) / _STEP_M).T
         turn = math.atan2(A[1, 0] - A[0, 1], A[0, 0] + A[1, 1])
-        self.numbers[:] = (*A.ravel(), east, north, *plan[0], turn)
-        inverse = np.linalg.inv(A)
-        to_geodetic = ((geodetic[1:, :2] - geodetic[0, :2]) / _STEP_M).T @ inverse
+        self.numbers[:] = (*A.ravel(), east, north, up, *plan[0], turn)
+        inverse = np.linalg.inv(A[:, :2])
+        to_geodetic = ((geodetic[1:3, :2] - geodetic[0, :2]) / _STEP_M).T @ inverse
         self._geodetic[0], self._geodetic[1:] = geodetic[0, :2], to_geodetic
 
     def geodetic_deg(self, east: float, north: float) -> tuple[float, float]:
         """Latitude and longitude of a place in the plan, near the vehicle; degrees."""
-        de, dn = east - self.numbers[6], north - self.numbers[7]
+        de, dn = east - self.numbers[9], north - self.numbers[10]
         (latitude, longitude), (a, b), (c, d) = self._geodetic.tolist()
         return (
             math.degrees(latitude + a * de + b * dn),

@@ -21,6 +21,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -251,10 +252,10 @@ def load(path: Path) -> Network:
                     arrays[each.removesuffix(".npy")] = array
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except (zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: is no track network; `tramstream map build` makes one"
-        ) from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+        raise _no_network(path) from error
+    if set(arrays) | set(names) != {each.name for each in fields(Network)}:
+        raise _no_network(path)
     unpacked: dict[str, Any] = {name: _unpacked(name, array) for name, array in arrays.items()}
     return Network(
         **unpacked,
@@ -262,6 +263,12 @@ def load(path: Path) -> Network:
         ways=tuple(Way(*each) for each in names.pop("ways")),
         lines=tuple(_line(each) for each in names.pop("lines")),
         **names,
+    )
+
+
+def _no_network(path: Path) -> ConfigError:
+    return ConfigError(
+        f"{path}: is no track network, or a damaged one; `tramstream map build` makes it anew"
     )
 
 

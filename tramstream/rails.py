@@ -174,7 +174,7 @@ class Search:
         away = np.hypot(*(self._points[rows] - (east, north)).T)
         order = rows[np.argsort(away, kind="stable")]
         _, first = np.unique(self._track[order], return_index=True)
-        found = []
+        found: list[tuple[float, Near]] = []
         for row in order[np.sort(first)].tolist():
             track = int(self._track[row])
             s, across, yaw, _ = beside(
@@ -182,9 +182,10 @@ class Search:
             )
             length = float(self._rails.length_m[track])
             over = max(-s, s - length, 0.0)
-            if np.hypot(over, across) <= radius_m:
-                found.append(Near(track, min(max(s, 0.0), length), across, yaw))
-        return sorted(found, key=lambda each: abs(each.across_m))
+            distance = math.hypot(over, across)
+            if distance <= radius_m:
+                found.append((distance, Near(track, min(max(s, 0.0), length), across, yaw)))
+        return [each for _, each in sorted(found)]
 
     def away_m(self, east: float, north: float) -> float:
         """How far a place is from the nearest sample of a track; good to half of `SEARCH_M`."""

@@ -189,7 +189,9 @@ def _run(curves: Curves, u: Array, q: Array, sigma: float) -> _Steps:
     return _Steps(u, q, x, P, cross, evidence)
 
 
-def _learn(curves: Curves, u: Array, found: _Learnt, learns: tuple[bool, bool]) -> tuple[_Steps, _Learnt]:
+def _learn(
+    curves: Curves, u: Array, found: _Learnt, learns: tuple[bool, bool]
+) -> tuple[_Steps, _Learnt]:
     """Estimate q of each step, and where wanted its law and σ, from where they are; see the module."""
     middle, spacing = _spacing(curves, u)
     chosen = curves.own.copy()

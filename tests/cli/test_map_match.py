@@ -19,8 +19,9 @@ from tramstream.cli.match_source import Source
 from tramstream.errors import ConfigError, RecordError
 from tramstream.keys import Key
 from tramstream.line_requests import LineRequest
+from tramstream.linear_reference import references
 from tramstream.network import Network
-from tramstream.network_lines import lay_lines, path_of, references
+from tramstream.network_lines import lay_lines, path_of
 from tramstream.processors.matching_offline import Leg, Place
 from tramstream.processors.matching_offline import Path as MatchedPath
 from tramstream.proto.estimate_pb2 import MotionState
