@@ -9,6 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from tramstream.network import Network
+    from tramstream.network_build import Options
     from tramstream.network_report import Report
     from tramstream.osm import Extract
 
@@ -71,35 +72,43 @@ def build(
     """
     import json
     import time
-    from datetime import UTC, datetime
 
-    from tramstream import network_build, network_lines, osm
     from tramstream.errors import ConfigError
     from tramstream.geodesy import PRAGUE_GEOID_M
+    from tramstream.network_build import Options
 
     began_s = time.perf_counter()
     given = [*sources, *(elevation or ()), *(lines or ())]
     if out.resolve() in [path.resolve() for path in given]:
         raise ConfigError(f"{out}: is what would be read; choose another --out")
-    extract = osm.read(sources)
-    options = network_build.Options(
-        yards=yards,
-        node_std_m=node_std_m,
-        tiles=tuple(elevation or ()),
-        geoid_m=PRAGUE_GEOID_M if geoid_m is None else geoid_m,
-    )
-    network, report = network_build.build(extract, options)
-    network = network_lines.place_stops(network, extract)
-    network, told = _with_lines(network, extract, lines or [])
-    built = f"{network.source}; built {datetime.now(UTC):%Y-%m-%d}"
-    _save(network, built, out)
-    result = _result(network, report, told)
-    result |= {"out": str(out), "bytes": out.stat().st_size}
+    height_m = PRAGUE_GEOID_M if geoid_m is None else geoid_m
+    options = Options(yards, node_std_m, tuple(elevation or ()), height_m)
+    result = _write(sources, options, lines or [], out)
     result["elapsed_s"] = time.perf_counter() - began_s
     if json_:
         print(json.dumps(result))
     else:
         _show(result)
+
+
+def _write(sources: list[Path], options: Options, lines: list[Path], out: Path) -> dict[str, Any]:
+    """Read, build, save; the figures."""
+    from dataclasses import replace
+    from datetime import UTC, datetime
+
+    from tramstream import network_build, network_lines, osm
+    from tramstream.errors import ConfigError
+
+    extract = osm.read(sources)
+    network, report = network_build.build(extract, options)
+    network = network_lines.place_stops(network, extract)
+    network, told = _with_lines(network, extract, lines)
+    built = f"{network.source}; built {datetime.now(UTC):%Y-%m-%d}"
+    try:
+        replace(network, source=built).save(out)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
+    return _result(network, report, told) | {"out": str(out), "bytes": out.stat().st_size}
 
 
 def _with_lines(
@@ -115,17 +124,6 @@ def _with_lines(
         requests, told = line_requests.of_extract(extract)
     network, more = network_lines.lay_lines(network, requests)
     return network, told + more
-
-
-def _save(network: Network, source: str, out: Path) -> None:
-    from dataclasses import replace
-
-    from tramstream.errors import ConfigError
-
-    try:
-        replace(network, source=source).save(out)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
 
 
 def _result(network: Network, report: Report, told: tuple[str, ...]) -> dict[str, Any]:

@@ -269,7 +269,7 @@ def test_curves_of_prague_are_as_good_as_they_say(prague: tuple[Network, Report]
     fit = prague[1].fit
     assert 0.02 < fit["node_std_m"] < 0.2
     for place in ("curves", "bends", "straights"):
-        assert fit[f"left_out_normalised_{place}"] == pytest.approx(1.0, abs=0.15)
+        assert fit[f"left_out_normalised_{place}"] == pytest.approx(1.0, abs=0.25)
     assert fit["jump_p95_m"] < 0.2
     assert fit["turn_median_rad"] < math.radians(0.5)
     net = prague[0]

@@ -13,9 +13,9 @@ along it says nothing. Two things are learnt from the whole map (`_learn`):
 - σ, such that the squares of the residuals are as large as expected.
 
 Scaling σ² and q alike changes no mean and scales all covariances. So at last both are scaled until
-the errors of the curves at nodes that are left out are as large as stated (`Fit.left_out`). What is
-common to all nodes around, such as a shift of the aerial image they were drawn from, is not in it:
-no curve through them could show it.
+the errors of curves at nodes that they were fitted without are as large as stated (`Fit.left_out`).
+What is common to all nodes around, such as a shift of the aerial image they were drawn from, is not
+in it: no curve through them could show it.
 
 References
 ----------
@@ -44,8 +44,8 @@ Flags = NDArray[np.bool_]
 REACH_M = 10.0
 """Clothoids of a city are about that long: so far the evidence of a place counts."""
 DOUBT = 0.3
-"""How little the power law of q is worth, as a number of observations. Prague's map chose it: with
-it errors at left-out nodes are as stated in curves and on straights alike, and likeliest."""
+"""How little the power law of q is worth, as a number of observations. Three times as much, or
+twice the reach, make left-out nodes of Prague no likelier."""
 FIRST_NODE_STD_M = 0.1
 FIRST_Q, FIRST_POWER = 1e-6, -2.8
 """Rad²/m³ at `USUAL_SPACING_M`, and power of the distance: what Prague's map has. Rounds begin
@@ -192,7 +192,7 @@ def _run(curves: Curves, u: Array, q: Array, sigma: float) -> _Steps:
 def _learn(
     curves: Curves, u: Array, found: _Learnt, learns: tuple[bool, bool]
 ) -> tuple[_Steps, _Learnt]:
-    """Estimate q of each step, and where wanted its law and σ, from where they are; see the module."""
+    """Estimate q of each step, and where wanted its law and σ; see the module."""
     middle, spacing = _spacing(curves, u)
     chosen = curves.own.copy()
     chosen[curves.starts[1:] - 1] = False
