@@ -147,7 +147,7 @@ def _plain_ride(ride: Figures) -> dict[str, Any]:
 
 def _plain_tallies(each: Total | Figures) -> dict[str, Any]:
     return {
-        name: {"right": tally.right, "count": tally.count, "share": tally.share}
+        name: {"right": tally.right, "total": tally.total, "share": tally.share}
         for name, tally in each.tallies.items()
     }
 
@@ -208,7 +208,7 @@ def _switches(totals: Sequence[Total]) -> Table:
     for total in totals:
         table.add_row(
             total.name,
-            str(total.tallies[SWITCHES[0]].count),
+            str(total.tallies[SWITCHES[0]].total),
             *(_percent(total, name) for name in SWITCHES),
             "",
             *(f"{each:.1f}" for each in total.along_m),
@@ -225,7 +225,7 @@ def _reliability(title: str, bins: Sequence[Bin]) -> Table:
     for each in bins:
         table.add_row(
             f"{100 * each.low:g} to {100 * each.high:g}",
-            str(each.count),
+            str(each.points),
             str(each.episodes),
             f"{100 * each.stated:.2f}",
             f"{100 * each.right:.2f}",

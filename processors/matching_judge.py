@@ -65,7 +65,7 @@ class Passed(NamedTuple):
 class Reliability(NamedTuple):
     """Bins of stated probabilities, one row each from `EDGES` on; sums, so that rides add up."""
 
-    count: Array
+    points: Array
     stated: Array
     """Sum of the probabilities."""
     right: Array
@@ -197,9 +197,9 @@ def reliability(probability: Array, right: Flags, run: Integers, time_s: Array) 
     size = len(EDGES)
     return Reliability(
         np.bincount(bins, minlength=size).astype(float),
-        np.bincount(bins, probability, size),
-        np.bincount(bins, right, size),
-        np.bincount(bins[order], new, size),
+        np.bincount(bins, probability, size).astype(float),
+        np.bincount(bins, right, size).astype(float),
+        np.bincount(bins[order], new, size).astype(float),
     )
 
 

@@ -238,7 +238,7 @@ def _verdicts(ride: NetworkRide, said: Spots, route_m: Array) -> Verdicts:
         found = judge.judge(ride, Spots(said.run[rows], said.chainage_m[rows]), route_m[rows])
         flags[:, rows] = found.on_track, found.onward, found.unparted
         along_m[rows] = found.along_m
-    return Verdicts(*flags, along_m)
+    return Verdicts(flags[0], flags[1], flags[2], along_m)
 
 
 def _beside(ride: NetworkRide, route_m: Array) -> Flags:
@@ -256,20 +256,21 @@ def _reliabilities(
     Of several candidates that are all right (the end of one run and the begin of the next; both
     directions before the matcher knows its own) the likeliest counts; the rest is the same answer.
     """
-    rows = np.flatnonzero(points.answered)
-    headed = points.headed
-    best_right = np.where(headed, verdicts.onward, verdicts.on_track)[rows]
-    best = (points.probability[rows], best_right, points.spots.run[rows], points.time_s[rows])
-    of = points.other_row
+    rows, of = np.flatnonzero(points.answered), points.other_row
     others = _verdicts(ride, points.others, route_m[of])
-    other_right = np.where(headed[of], others.onward, others.on_track)
-    answered_right = np.zeros(len(headed), dtype=np.bool_)
-    answered_right[rows] = best_right
-    again = _again(of, other_right) | (other_right & answered_right[of])
-    other = (points.other_probability, other_right, points.others.run, points.time_s[of])
-    other = tuple(column[~again] for column in other)
-    both = [np.concatenate(pair) for pair in zip(best, other, strict=True)]
-    return judge.reliability(*best), judge.reliability(both[0], both[1], both[2], both[3])
+    right = np.where(points.headed, verdicts.onward, verdicts.on_track)
+    other_right = np.where(points.headed[of], others.onward, others.on_track)
+    kept = ~(_again(of, other_right) | (other_right & right[of]))
+    best = judge.reliability(
+        points.probability[rows], right[rows], points.spots.run[rows], points.time_s[rows]
+    )
+    candidates = judge.reliability(
+        np.append(points.probability[rows], points.other_probability[kept]),
+        np.append(right[rows], other_right[kept]),
+        np.append(points.spots.run[rows], points.others.run[kept]),
+        np.append(points.time_s[rows], points.time_s[of][kept]),
+    )
+    return best, candidates
 
 
 def _again(row: Integers, right: Flags) -> Flags:
