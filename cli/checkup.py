@@ -19,8 +19,9 @@ from importlib import metadata
 from pathlib import Path
 
 from tramstream import bus, keys
+from tramstream import network as networks
 from tramstream.clock import S, VehicleClock
-from tramstream.config import Recorder
+from tramstream.config import Map, Recorder
 from tramstream.errors import TramstreamError
 
 RECORD_BYTES_PER_H = 400e6
@@ -225,6 +226,16 @@ def _check_sync(folder: Path, flush_s: float) -> Finding:
 
 
 # Processor ----------------------------------------------------------------------------------------
+def check_map(settings: Map) -> Finding:
+    """The track network can be read."""
+    try:
+        network = networks.load(Path(settings.network))
+    except TramstreamError as error:
+        return from_error("map", error)
+    km = float(network.length_m.sum()) / 1000.0
+    return ok("map", f"{settings.network}: {network.track_count} tracks, {km:.0f} km")
+
+
 def check_processor() -> list[Finding]:
     """How much of the processor is free right now."""
     cores = os.cpu_count() or 1

@@ -73,6 +73,8 @@ def _findings(config: Path | None) -> Iterator[Finding]:
     yield from checkup.check_disk(recorder)
     yield from checkup_devices.check_serial()
     yield from checkup_devices.check_can_interfaces()
+    if vehicle is not None and vehicle.map is not None:
+        yield checkup.check_map(vehicle.map)
     if vehicle is not None:
         yield from checkup_devices.check_vehicle(vehicle, alive)
 

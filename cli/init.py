@@ -230,6 +230,14 @@ signal = "MOTOR_FORCE"
 #acceleration_std_mps2_rthz = 0.7
 #tilt_std_rad_rts = 0.005
 
+#[map]
+# Track network that `tramstream map build` wrote: the matcher then says on which track the vehicle
+# is, and the filter is put onto it. Without this section localisation goes on without a map.
+#network = "network.tracks"
+# How far the mapped tracks lie beside the rails, and over what length they do so alike.
+#std_m = 0.5
+#correlation_m = 30.0
+
 
 # Record -------------------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ from tramstream.rails import Rails, Search, rails_of
 SEARCH_STDS = 3.5
 SEARCH_MORE_M, SEARCH_MOST_M = 10.0, 150.0
 """Tracks are looked for within so many deviations of the estimate, and a bit."""
-WRONG_WAY = 1e-3
+WRONG_WAY = 1e-4
 """Share of vehicles that are met where trams are not meant to go."""
 HEADS_RAD = math.radians(60.0)
 """No vehicle heads so far off its track, whatever its filter believes at first."""
@@ -35,8 +35,9 @@ AGAIN_M = 10.0
 """Tracks are looked for again after so long without a heading, after so long a way off the map."""
 LOST = 0.5
 """Off the map, if that is likelier than this."""
-FORGET_S = 60.0
-"""Time in which errors of a filter with inertial sensors forget themselves: those of its fixes."""
+FORGET_S = 300.0
+"""Time in which errors of a filter with inertial sensors forget themselves: it averages its fixes
+over minutes."""
 MOVES_MPS = 0.3
 """From here on the sign of the speed tells the direction of travel."""
 

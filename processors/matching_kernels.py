@@ -74,6 +74,12 @@ same; the vehicle's origin before the point that follows the rails."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
+HEADING_SHARE = 2.5
+"""Of a deviation over its correlation length: the heading's, where that length is the integral of
+exp(−d²/2ℓ²), ℓ √(2π), and a derivative deviates by 1/ℓ."""
+DOUBT = 4.0
+"""Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
+streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong."""
 WEIGHED_M = 1.0
 """Between two weighings."""
 SLACK_M = 0.25
@@ -201,11 +207,11 @@ def carry(M: Array, rails: Rails, z: Array, c: Array) -> None:
                 C[i, 0] -= dn * C[i, 2]
                 C[i, 1] += de * C[i, 2]
             C *= keep * keep
-            C[0, 0] += fresh * z[P_EE] + grown_e
-            C[0, 1] += fresh * z[P_EN]
-            C[1, 0] += fresh * z[P_EN]
-            C[1, 1] += fresh * z[P_NN] + grown_n
-            C[2, 2] += fresh * z[P_YAW] + grown_h
+            C[0, 0] += fresh * DOUBT * z[P_EE] + grown_e
+            C[0, 1] += fresh * DOUBT * z[P_EN]
+            C[1, 0] += fresh * DOUBT * z[P_EN]
+            C[1, 1] += fresh * DOUBT * z[P_NN] + grown_n
+            C[2, 2] += fresh * DOUBT * z[P_YAW] + grown_h
         guess = h[CHAINAGE] + way
         s, _, _, _ = beside(rails, int(h[RUN]), guess, h[Q_EAST], h[Q_NORTH])
         h[CHAINAGE] = s
@@ -244,7 +250,7 @@ def variances(rails: Rails, c: Array, run: int, s: float) -> tuple[float, float]
     """Of the rails about the map: across, m², and of the heading, rad²."""
     j = sample_at(rails, run, s)
     across = c[STD_M] ** 2 + rails.across_std_m[j] ** 2
-    heading = (c[STD_M] / c[CORRELATION_M]) ** 2 + rails.yaw_std[j] ** 2
+    heading = (HEADING_SHARE * c[STD_M] / c[CORRELATION_M]) ** 2 + rails.yaw_std[j] ** 2
     return across, heading
 
 
@@ -347,6 +353,7 @@ def seed(M: Array, rails: Rails, z: Array, c: Array, run: int, s: float, prior: 
     C = h[P : P + 9].reshape((3, 3))
     C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
     C[2, 2] = z[P_YAW]
+    C *= DOUBT
     cost, _, _ = on_rails(h, rails, z, c, 1.0)
     kinds = 2.0 if z[HEADED] != 0.0 else 1.0
     h[WEIGHT] = math.log(prior) - 0.5 * (cost + kinds * math.log(2.0 * math.pi))

@@ -254,7 +254,9 @@ def _certainly(
     grade = float(rails.grade[j])
     out[GRADE] = grade if run & 1 == 0 else -grade
     out[GRADE_VARIANCE] = float(rails.grade_std[j]) ** 2 * GRADE_CORRELATION_M / WEIGHED_M
-    M[SYNCED] = h[RUN]
+    # A filter that is still on its way onto the rails would be held against them again.
+    if across * across < var_across and out[YAW_OFF] ** 2 < var_yaw:
+        M[SYNCED] = h[RUN]
 
 
 @compiled

@@ -67,7 +67,9 @@ def test_template_loads_as_it_is_and_with_every_setting_taken_in(tmp_path):
     assert vehicle.simulators == {}
     given = SETTING.sub("", TEMPLATE).encode()
     whole = config.parse(given, "t", tmp_path)
-    assert msgspec.structs.replace(whole, simulators={}) == vehicle
+    assert whole.map is not None
+    assert whole.map.network == str(tmp_path / "network.tracks")
+    assert msgspec.structs.replace(whole, simulators={}, map=None) == vehicle
 
 
 def test_written_configuration_makes_bridges_and_processors(tmp_path):
