@@ -50,8 +50,8 @@ def reproduce(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="kaspar2023: two wheels, one wheel, slip or white; may be given several times; "
-            "default all.",
+            help="kaspar2023: two wheels, one wheel, slip or white; default all. matching: plain "
+            "(the default), slow or gyro. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[

@@ -88,6 +88,9 @@ def test_matching_wants_a_network_and_lines_that_it_has(tmp_path: Path) -> None:
     unknown = run("matching", "--net", str(path), "--line", "7", "--json")
     assert isinstance(unknown.exception, ConfigError)
     assert "it has 1/0" in str(unknown.exception)
+    kind = run("matching", "--net", str(path), "--kind", "white")
+    assert isinstance(kind.exception, ConfigError)
+    assert "plain, slow, gyro" in str(kind.exception)
 
 
 @pytest.mark.live

@@ -300,6 +300,27 @@ def test_whole_ride_goes_through_filter_and_matcher_and_repeats_itself(tmp_path:
     assert other.tallies[NEAREST_STATE] == Tally(0, 0)
 
 
+def test_kinds_differ_in_their_sensors_and_in_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "small.net"
+    network().save(path)
+    case = Case(str(path), "1/0", seed=2)
+    ride = study.ride_of(case)
+    plain, slow, gyro = (
+        study.simulation_of(case._replace(kind=kind), ride) for kind in study.KINDS
+    )
+    assert plain.seed == slow.seed == gyro.seed
+    for simulation_ in (plain, slow, gyro):
+        assert simulation_.scenario.gnss is not None
+        assert simulation_.scenario.imu is not None
+    assert slow.scenario.gnss.errors.decay > plain.scenario.gnss.errors.decay
+    walks = [each.scenario.imu.errors.gyro_walk_radps2_rthz for each in (plain, slow, gyro)]
+    assert walks[0] == walks[1] < walks[2]
+    told = study.vehicle_of(case._replace(kind=study.SLOW), slow).gnss
+    assert told is not None
+    assert told.error_tau_s == 20.0
+    assert study.Case("", "1/0", kind=study.SLOW).route == "1/0, slow"
+
+
 def errors_of(case: Case) -> Array:
     ride = study.ride_of(case)
     return np.asarray(ride.line.position_l(np.linspace(0.0, 500.0, 50)))
