@@ -178,10 +178,11 @@ def _print(console: Console, figures: Sequence[Figures], elapsed_s: float) -> No
         "too where rails have not parted yet (less than 1 m), which strict does not allow.\n"
         "parallel: where the true track has a neighbour. nearest: nearest track of each fix; no\n"
         "map: of the position of a filter without the map, on the first ride of each line and\n"
-        "its first detour. way: facing switches, asked so far beyond. along: distance from the\n"
-        "truth along the track, and how often it is within 2 σ (95.4 is right). start: from the\n"
-        "filter's first position to the first answer. episodes: stretches of one candidate in one\n"
-        "bin; ± is of the share right if each were one throw.",
+        "its first detour. way: facing switches, asked so far beyond; parted: at 30 m, or farther\n"
+        "where the rails part there. along: distance from the truth along the track, and how often\n"
+        "it is within 2 σ (95.4 is right). start: from the filter's first position to the first\n"
+        "answer. episodes: stretches of one candidate in one bin; ± is of the share right if each\n"
+        "were one throw.",
         soft_wrap=True,
     )
 
@@ -205,7 +206,17 @@ def _tracks(totals: Sequence[Total]) -> Table:
 
 def _switches(totals: Sequence[Total]) -> Table:
     percentiles = (f"P{each}" for each in PERCENTILES)
-    columns = ("switches", "way 30 m", "15 m", "along", *percentiles, "2 σ", "start s", "µs")
+    columns = (
+        "switches",
+        "way 30 m",
+        "15 m",
+        "parted",
+        "along",
+        *percentiles,
+        "2 σ",
+        "start s",
+        "µs",
+    )
     table = _table(f"{NAME}: right ways at switches, %, and along the track, m", "route", columns)
     for total in totals:
         table.add_row(

@@ -20,8 +20,8 @@ STRICT = "right_track_at_switches_too"
 """The same without leave for rails that have not parted yet."""
 DIRECTION = "right_direction"
 """Of the points on the right track since the matcher knows its direction."""
-SWITCHES = ("right_way_30_m", "right_way_15_m")
-"""Of the facing switches passed, so far beyond each; `matching_judge.BEYOND_M`."""
+SWITCHES = ("right_way_30_m", "right_way_15_m", "right_way_parted")
+"""Of the facing switches passed, so far beyond each; 30 m or where the rails have parted."""
 TWO_SIGMA = "along_within_2_sigma"
 """0.954 where the stated deviation is right."""
 NEAREST_FIX, NEAREST_STATE = "nearest_to_fix", "nearest_to_filter_without_map"

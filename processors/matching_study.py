@@ -222,7 +222,11 @@ def figures(
     motion = simulation.ride.motion(points.time_s)
     route_m = ride.route_at(motion.arc_length_m)
     verdicts = _verdicts(ride, points.spots, route_m)
-    beyond = [judge.ways(ride, points.spots, verdicts, route_m, way) for way in judge.BEYOND_M]
+    beyond = [
+        judge.ways(ride, points.spots, verdicts, route_m, way, parted)
+        for way, parted in ((judge.BEYOND_M, False), (judge.BEYOND_M / 2, False),
+                            (judge.BEYOND_M, True))
+    ]  # fmt: skip
     beside = _beside(ride, route_m)
     right, on_route = verdicts.right, np.isfinite(verdicts.along_m) & verdicts.on_track
     headed = verdicts.on_track & points.headed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -141,6 +142,24 @@ def test_switch_is_left_out_where_the_ride_ends_just_beyond() -> None:
     said = main_ride().spots_at(route_m)
     found = judge.ways(main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, 30.0)
     assert [each.choice.node for each in found] == [1]
+
+
+def test_way_is_asked_where_rails_have_parted_if_that_is_farther() -> None:
+    branch, crossover = main_ride().choices
+    assert 15.0 < judge.parted_m(main_ride(), branch) < 20.0
+    apart_m = judge.parted_m(main_ride(), crossover)
+    off_m = np.abs(network().north[network().samples_of(6)])
+    np.testing.assert_allclose(off_m[round(apart_m)], judge.PARTED_M, atol=0.12)
+    assert apart_m > judge.BEYOND_M / 2
+    route_m = np.arange(0.0, LAST_M, 1.0)
+    said = main_ride().spots_at(route_m)
+    asked = judge.ways(
+        main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, 5.0, parted=True
+    )
+    assert [each.row for each in asked] == [
+        math.ceil(choice.route_m + judge.parted_m(main_ride(), choice))
+        for choice in (branch, crossover)
+    ]
 
 
 # Probabilities ------------------------------------------------------------------------------------
