@@ -15,6 +15,9 @@ def bench(
     ubx: Annotated[
         Path | None, typer.Option(help="Receiver capture to frame and decode, not simulated bytes.")
     ] = None,
+    net: Annotated[
+        Path | None, typer.Option(help="Track network with lines: measure matching on it.")
+    ] = None,
     only: Annotated[str, typer.Option(help="Run only stages whose name contains this.")] = "",
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -35,6 +38,11 @@ def bench(
         if only in name:
             say(f"{name} …")
             figures += bench_stages.ubx(ubx) if name == "ubx" else measure()
+    if net is not None and only in "map":
+        from tramstream.cli import bench_map
+
+        say("map …")
+        figures += bench_map.measure(net)
     if only in "bus":
         say("bus …")
         figures += bus_round_trip()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from tramstream import keys, scenario
 from tramstream.cli.bench_stages import Figure
@@ -65,12 +66,12 @@ def ekf() -> list[Figure]:
         navigation.run(frame.message, False, noise)
 
     return [
-        Figure("ekf_step_us", _median_us(step, rest), 15.0, False),
-        Figure("localisation_step_us", _median_us(lambda frame: whole.step(frame), rest)),
+        Figure("ekf_step_us", median_us(step, rest), 15.0, False),
+        Figure("localisation_step_us", median_us(lambda frame: whole.step(frame), rest)),
     ]
 
 
-def _median_us(step: Callable[[Sample], object], frames: list[Sample]) -> float:
+def median_us(step: Callable[[Any], object], frames: Sequence[Any]) -> float:
     """Median over chunks of the time of a step; the first chunk does not count."""
     found = []
     for begin in range(0, len(frames) - CHUNK, CHUNK):

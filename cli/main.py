@@ -1,4 +1,4 @@
-"""`tramstream`: finds its verbs by entry point, one verb per file.
+"""`tramstream`: finds its verbs by entry point, one verb per file; a group of verbs is a typer app.
 
 A verb's module imports nothing heavy; what it needs it imports inside. Errors of
 `tramstream.errors` become one sentence on standard error and the exit status of the type:
@@ -23,6 +23,7 @@ PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
     "Looking": ("top", "list", "echo", "hz", "bw", "info"),
     "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
+    "Map": ("map",),
     "Figures": ("evaluate", "report", "reproduce", "bench"),
 }
 
@@ -61,8 +62,13 @@ def make_app(only: str = "") -> typer.Typer:
     panel_of = {verb: panel for panel, names in PANELS.items() for verb in names}
     order = [*panel_of, *sorted(set(verbs) - set(panel_of))]
     for name in order:
-        if name in verbs:
-            app.command(name, rich_help_panel=panel_of.get(name))(verbs[name].load())
+        if name not in verbs:
+            continue
+        verb = verbs[name].load()
+        if isinstance(verb, typer.Typer):
+            app.add_typer(verb, name=name, rich_help_panel=panel_of.get(name))
+        else:
+            app.command(name, rich_help_panel=panel_of.get(name))(verb)
     return app
 
 

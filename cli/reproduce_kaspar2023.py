@@ -71,9 +71,11 @@ def reproduce(options: Options) -> None:
 
 
 def _jobs(cases: Sequence[Case]) -> list[Job]:
-    """Bounds of all kinds of rides, and rides."""
+    """Bounds of all kinds of rides that have no map, and rides."""
     kinds = {_kind(case): case for case in reversed(cases)}
-    bounds = [Job(study.bound_of, (case,)) for case in kinds.values()]
+    bounds = [
+        Job(study.bound_of, (case,)) for case in kinds.values() if case.kind in study.WITHOUT_MAP
+    ]
     return bounds + [Job(study.study, (case, tuple(MODELS))) for case in cases]
 
 

@@ -179,10 +179,10 @@ def _print(console: Console, figures: Sequence[Figures], elapsed_s: float) -> No
         "parallel: where the true track has a neighbour. nearest: nearest track of each fix; no\n"
         "map: of the position of a filter without the map, on the first ride of each line and\n"
         "its first detour. way: facing switches, asked so far beyond; parted: at 30 m, or farther\n"
-        "where the rails part there. along: distance from the truth along the track, and how often\n"
-        "it is within 2 σ (95.4 is right). start: from the filter's first position to the first\n"
-        "answer. episodes: stretches of one candidate in one bin; ± is of the share right if each\n"
-        "were one throw.",
+        "where the rails part there. along: distance from the truth along the track, and how\n"
+        "often it is within 2 σ (95.4 is right). start: from the filter's first position to the\n"
+        "first answer. episodes: stretches of one candidate in one bin; ± is of the share right\n"
+        "if each were one throw.",
         soft_wrap=True,
     )
 

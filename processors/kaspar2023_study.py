@@ -13,14 +13,16 @@ import time
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from tramstream import consistency, evaluation, keys, line_geojson, scenario
+from tramstream import consistency, evaluation, keys, line_geojson, line_map, scenario
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Map, Vehicle
 from tramstream.consistency import NEES_SLOTS, Protection
 from tramstream.evaluation import MotionErrors
 from tramstream.geodesy import LocalLevel, convergence_rad
@@ -53,9 +55,16 @@ EVERY = 5
 
 SMOOTHED = "tram smoothed"
 """The model `tram` with the whole ride known; judged where the heading is, at its 10 Hz."""
-TWO, ONE, SLIP, WHITE = KINDS = ("two wheels", "one wheel", "slip", "white")
-"""Of rides: as in the work; one wheel read; wheels that slip or slide at `SKIDDING` of the stops;
-errors of one fix that have nothing to do with those of the next."""
+TWO, ONE, SLIP, WHITE = WITHOUT_MAP = ("two wheels", "one wheel", "slip", "white")
+"""Kinds of rides: as in the work; one wheel read; wheels that slip or slide at `SKIDDING` of the
+stops; errors of one fix that have nothing to do with those of the next."""
+EXACT, NODES = WITH_MAP = ("exact map", "map nodes 0.2 m")
+"""As in the work, with a map (`tramstream.line_map`): its nodes lie on the rails; or each is off by
+`NODE_STD_M` to the east and to the north."""
+KINDS = WITHOUT_MAP + WITH_MAP
+NODE_STD_M = 0.2
+MAP_STD_M = 0.02
+"""What these maps have wrong beside their nodes: nothing; a filter wants some room."""
 SKIDDING = 0.3
 
 PUBLISHED = {
@@ -134,7 +143,9 @@ def bound_of(case: Case) -> Bound:
 def study(case: Case, models: Sequence[str]) -> list[Figures]:
     """Run one ride through every model, by their names in `processors.models`; `tram` both ways."""
     simulation = simulation_of(case)
-    runs = [_Run(name, simulation.vehicle) for name in models]
+    with TemporaryDirectory() as folder:
+        vehicle = _vehicle(simulation, case, Path(folder))
+        runs = [_Run(name, vehicle) for name in models]
     fixes: list[GnssFix] = []
     for number, frame in enumerate(frames(simulation, fixes)):
         for run in runs:
@@ -142,6 +153,17 @@ def study(case: Case, models: Sequence[str]) -> list[Figures]:
     raw = _fix_errors(simulation, fixes)
     said = [each for run in runs for each in run.said()]
     return [_figures(case, simulation, each, raw) for each in said]
+
+
+def _vehicle(simulation: Simulation, case: Case, folder: Path) -> Vehicle:
+    """The vehicle's configuration, with the map of its line if it has one."""
+    if case.kind not in WITH_MAP:
+        return simulation.vehicle
+    error_m = NODE_STD_M if case.kind == NODES else 0.0
+    network = line_map.network_of(simulation.line, error_m, np.random.default_rng(case.seed))
+    network.save(folder / "network")
+    settings = Map(network=str(folder / "network"), std_m=MAP_STD_M)
+    return replace(simulation.vehicle, map=settings)
 
 
 class _Said:

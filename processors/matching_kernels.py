@@ -74,9 +74,11 @@ same; the vehicle's origin before the point that follows the rails."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
-HEADING_SHARE = 2.5
-"""Of a deviation over its correlation length: the heading's, where that length is the integral of
-exp(−d²/2ℓ²), ℓ √(2π), and a derivative deviates by 1/ℓ."""
+HEADING_SHARE = 2.0
+"""Deviation of a heading over that of the place across by its correlation length: between 1 and
+2.5, as that length is ℓ of exp(−d²/2ℓ²) or its integral."""
+HEADING_LENGTH = 0.25
+"""Correlation length of a heading, over that of the place across: a derivative forgets faster."""
 DOUBT = 4.0
 """Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
 streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong."""
@@ -255,6 +257,12 @@ def variances(rails: Rails, c: Array, run: int, s: float) -> tuple[float, float]
 
 
 @compiled
+def heading_noise(share: float) -> float:
+    """By how much the variance of a heading is that of one measurement; see `on_rails`."""
+    return 1.0 / min(share / HEADING_LENGTH, 1.0)
+
+
+@compiled
 def on_rails(
     h: Array, rails: Rails, z: Array, c: Array, share: float
 ) -> tuple[float, float, float]:
@@ -274,7 +282,7 @@ def on_rails(
         bend = k / max(1.0 - k * across, 0.2)
         y = wrapped(yaw - z[YAW] - h[OFFSET])
         H0, H1 = -bend * math.cos(yaw), -bend * math.sin(yaw)
-        distance, S_yaw = _scalar(h, H0, H1, 1.0, y, var_yaw / share)
+        distance, S_yaw = _scalar(h, H0, H1, 1.0, y, var_yaw * heading_noise(share))
         cost += min(distance, WEIGHS_MOST) + math.log(S_yaw)
         s, across, yaw, k = beside(rails, run, s, h[Q_EAST], h[Q_NORTH])
     h[CHAINAGE] = s

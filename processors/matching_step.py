@@ -35,6 +35,7 @@ from tramstream.processors.matching_kernels import (
     YAW,
     P,
     carry,
+    heading_noise,
     read_motion,
     renew,
     row,
@@ -249,7 +250,7 @@ def _certainly(
     out[BEND] = k / max(1.0 - k * across, 0.2)
     var_across, var_yaw = variances(rails, c, run, s)
     share = WEIGHED_M / c[CORRELATION_M]
-    out[ACROSS_VARIANCE], out[YAW_VARIANCE] = var_across / share, var_yaw / share
+    out[ACROSS_VARIANCE], out[YAW_VARIANCE] = var_across / share, var_yaw * heading_noise(share)
     j = sample_at(rails, run, s)
     grade = float(rails.grade[j])
     out[GRADE] = grade if run & 1 == 0 else -grade

@@ -329,9 +329,9 @@ class Noise:
 
     std_m: float = 0.5
     """Per axis."""
-    time_s: float = 60.0
+    time_s: float = 300.0
     yaw_std_rad: float = 0.01
-    yaw_time_s: float = 60.0
+    yaw_time_s: float = 300.0
     offset_l: tuple[float, float] = (0.0, 0.0)
     """East, north: what is added and not claimed."""
 

@@ -6,7 +6,7 @@ A run's chainage counts from where the run begins. Left is positive across, as e
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,23 +44,34 @@ class Rails(NamedTuple):
 
 
 def rails_of(network: Network) -> Rails:
-    """Take out of a network what kernels read."""
+    """Take out of a network what kernels read; all read-only, so that they are compiled once."""
     return Rails(
-        network.starts,
-        network.length_m,
-        network.spacing_m,
-        network.rules,
-        network.following_starts,
-        network.following,
-        network.east,
-        network.north,
-        network.yaw_rad,
-        network.curvature_per_m,
-        network.across_std_m,
-        network.yaw_std_rad,
-        network.grade_rad,
-        network.grade_std_rad,
+        *(
+            _read_only(each)
+            for each in (
+                network.starts,
+                network.length_m,
+                network.spacing_m,
+                network.rules,
+                network.following_starts,
+                network.following,
+                network.east,
+                network.north,
+                network.yaw_rad,
+                network.curvature_per_m,
+                network.across_std_m,
+                network.yaw_std_rad,
+                network.grade_rad,
+                network.grade_std_rad,
+            )
+        )
     )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 @compiled

@@ -1,0 +1,173 @@
+"""`tramstream map build OSM... -o NET`: a track network from a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from tramstream.network import Network
+    from tramstream.network_report import Report
+    from tramstream.osm import Extract
+
+SHOWN = 5
+"""Findings of each kind that people see; --json has all."""
+_KINDS = {
+    "gap": "Gaps",
+    "dead_end": "Dead ends",
+    "one_way": "One-way contradictions",
+    "kink": "Sharp kinks",
+    "tag": "Tags not understood",
+    "line": "Lines",
+}
+
+
+def build(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="OSM...",
+            help="Overpass JSON, .osm.pbf, .osm or GeoJSON; several make one network.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Network to write.", metavar="NET")],
+    elevation: Annotated[
+        list[Path] | None,
+        typer.Option(help="SRTM tile, like N50E014.hgt; may be repeated.", metavar="TILE.hgt"),
+    ] = None,
+    geoid_m: Annotated[
+        float | None,
+        typer.Option(
+            "--geoid-m",
+            help="Height of the geoid above the ellipsoid, added to tiles' heights. Default: that "
+            "of Prague.",
+        ),
+    ] = None,
+    node_std_m: Annotated[
+        float | None,
+        typer.Option(
+            "--node-std-m",
+            help="Deviation of the map's nodes from the rail, per axis. Default: estimated from "
+            "the map.",
+            min=0.001,
+        ),
+    ] = None,
+    yards: Annotated[bool, typer.Option("--yards", help="Take in service=yard.")] = False,
+    lines: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Lines as lists of stops, GeoJSON or TOML; may be repeated. Default: the routes "
+            "in the map.",
+            metavar="FILE",
+        ),
+    ] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Build a track network: directed edges, smooth curves with their deviation, stops, lines.
+
+    What is odd about the map is told and stops nothing; docs/map.md says what each finding means.
+    """
+    import json
+    import time
+    from datetime import UTC, datetime
+
+    from tramstream import network_build, network_lines, osm
+    from tramstream.errors import ConfigError
+    from tramstream.geodesy import PRAGUE_GEOID_M
+
+    began_s = time.perf_counter()
+    given = [*sources, *(elevation or ()), *(lines or ())]
+    if out.resolve() in [path.resolve() for path in given]:
+        raise ConfigError(f"{out}: is what would be read; choose another --out")
+    extract = osm.read(sources)
+    options = network_build.Options(
+        yards=yards,
+        node_std_m=node_std_m,
+        tiles=tuple(elevation or ()),
+        geoid_m=PRAGUE_GEOID_M if geoid_m is None else geoid_m,
+    )
+    network, report = network_build.build(extract, options)
+    network = network_lines.place_stops(network, extract)
+    network, told = _with_lines(network, extract, lines or [])
+    built = f"{network.source}; built {datetime.now(UTC):%Y-%m-%d}"
+    _save(network, built, out)
+    result = _result(network, report, told)
+    result |= {"out": str(out), "bytes": out.stat().st_size}
+    result["elapsed_s"] = time.perf_counter() - began_s
+    if json_:
+        print(json.dumps(result))
+    else:
+        _show(result)
+
+
+def _with_lines(
+    network: Network, extract: Extract, files: list[Path]
+) -> tuple[Network, tuple[str, ...]]:
+    """Lay lines from files, or those of the extract; and what is odd about them."""
+    from tramstream import line_requests, network_lines
+
+    told: tuple[str, ...] = ()
+    if files:
+        requests = [request for path in files for request in line_requests.read(path)]
+    else:
+        requests, told = line_requests.of_extract(extract)
+    network, more = network_lines.lay_lines(network, requests)
+    return network, told + more
+
+
+def _save(network: Network, source: str, out: Path) -> None:
+    from dataclasses import replace
+
+    from tramstream.errors import ConfigError
+
+    try:
+        replace(network, source=source).save(out)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
+
+
+def _result(network: Network, report: Report, told: tuple[str, ...]) -> dict[str, Any]:
+    counts = report.counts | {"stops": len(network.stops), "lines": len(network.lines)}
+    findings = [each._asdict() for each in report.findings]
+    findings += [{"kind": "line", "text": text, "nodes": (), "ways": ()} for text in told]
+    return {"counts": counts, **report.lengths, **report.fit, "findings": findings}
+
+
+def _show(result: dict[str, Any]) -> None:
+    """Print the figures, the first findings of each kind, and the file."""
+    from math import degrees
+
+    from rich.console import Console
+    from rich.table import Table
+
+    counts = result["counts"]
+    table = Table(title=None, box=None, show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    for name in ("nodes", "switches", "tracks", "edges", "segments", "stops", "lines"):
+        table.add_row({"segments": "directed segments"}.get(name, name), f"{counts[name]:,}")
+    for name, text in (
+        ("length of tracks", f"{result['track_km']:.1f} km"),
+        ("length of edges", f"{result['edge_km']:.1f} km"),
+        ("with an opposite edge within 8 m", f"{result['opposite_share']:.1%}"),
+        ("nodes off the rail, per axis", f"{result['node_std_m']:.2f} m"),
+        ("curves off the rail, median", f"{result['across_std_median_m']:.2f} m"),
+        ("  heading, median", f"{degrees(result['yaw_std_median_rad']):.2f} deg"),
+    ):
+        table.add_row(name, text)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(table)
+    for kind, title in _KINDS.items():
+        texts = [each["text"] for each in result["findings"] if each["kind"] == kind]
+        if texts:
+            console.print(f"\n{title}: {len(texts)}")
+            for text in texts[:SHOWN]:
+                console.print(f"  {text}", markup=False)
+            if len(texts) > SHOWN:
+                console.print(f"  and {len(texts) - SHOWN} more (--json has all)")
+    console.print(
+        f"\n{result['out']}: {result['bytes'] / 1e6:.1f} MB in {result['elapsed_s']:.1f} s",
+        markup=False,
+    )

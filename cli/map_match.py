@@ -1,0 +1,235 @@
+"""`tramstream map match FILE --net NET`: the path of a ride over the track network."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from tramstream.cli.match_source import Source
+    from tramstream.network import Network
+    from tramstream.network_lines import References
+    from tramstream.processors.matching_offline import Leg
+
+
+def match(
+    file: Annotated[Path, typer.Argument(help="Record, or a trace: .mcap, .gpx, .geojson.")],
+    net: Annotated[Path, typer.Option("--net", help="Network of `map build`.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Page to write, PAGE.html.")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", help="Table to write: the place on the track, by time.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the outputs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Find the path over the tracks that a ride took, the whole ride known.
+
+    What the vehicle itself said as it went is in its record, on map/matcher.
+    """
+    import json
+
+    from rich.console import Console
+
+    from tramstream.cli.match_source import match as match_file
+    from tramstream.cli.network_page import make_place
+    from tramstream.network import load
+    from tramstream.network_lines import references
+
+    for target, option in ((out, "--out"), (csv, "--csv")):
+        if target is not None:
+            make_place(target, [file, net], overwrite, option)
+    network = load(net)
+    known = references(network)
+    with Console(stderr=True).status(f"{file}"):
+        source = match_file(file, network, net)
+        figures = {"file": str(file), "net": str(net), **describe(network, known, source)}
+        if out is not None:
+            from tramstream.cli.map_match_page import compose
+            from tramstream.cli.network_page import write
+
+            write(out, compose(network, source, figures))
+            figures["out"] = str(out)
+        if csv is not None:
+            _write_csv(csv, network, known, source)
+            figures["csv"] = str(csv)
+    if as_json:
+        print(json.dumps(figures, ensure_ascii=False))
+    else:
+        _print(figures)
+
+
+# Figures ------------------------------------------------------------------------------------------
+def describe(network: Network, known: References, source: Source) -> dict[str, Any]:
+    """Give the path and what is to be said of it, by name."""
+    import numpy as np
+
+    places = [place for place in source.path.places if place.run >= 0]
+    across = np.array([place.across_m for place in places])
+    ends = _ends(network, source.path.legs)
+    legs = [
+        _leg(network, known, source, leg, begin_m, end_m)
+        for leg, (begin_m, end_m) in zip(source.path.legs, ends, strict=True)
+    ]
+    covered = _covered(legs)
+    for leg in legs:
+        leg["lines"].sort(key=lambda each: -covered[each["line"], each["direction"]])
+    count = max(len(source.path.places), 1)
+    return {
+        "matched": source.kind,
+        "notes": list(source.notes),
+        "duration_s": float(source.stamp_ns[-1] - source.stamp_ns[0]) / 1e9,
+        "length_m": sum(leg["to_m"] - leg["from_m"] for leg in legs),
+        "on_track_share": len(places) / count,
+        "across_rms_m": float(np.sqrt(np.mean(across**2))) if len(across) else None,
+        "across_p95_m": float(np.quantile(np.abs(across), 0.95)) if len(across) else None,
+        "path": legs,
+    }
+
+
+def _ends(network: Network, legs: list[Leg]) -> list[tuple[float, float]]:
+    """From where to where each leg goes along its run: to its end, where the next run joins it."""
+    ends = [
+        (min(leg.begin_m, leg.end_m), max(leg.begin_m, leg.end_m)) if leg.run >= 0 else (0.0, 0.0)
+        for leg in legs
+    ]
+    for k, (leg, after) in enumerate(pairwise(legs)):
+        if leg.run >= 0 and after.run in network.following_of(leg.run):
+            ends[k] = ends[k][0], float(network.length_m[leg.run >> 1])
+            ends[k + 1] = 0.0, ends[k + 1][1]
+    return ends
+
+
+def _leg(
+    network: Network, known: References, source: Source, leg: Leg, begin_m: float, end_m: float
+) -> dict[str, Any]:
+    on_track = leg.run >= 0
+    middle_m = (begin_m + end_m) / 2
+    lines = []
+    for line, chainage_m in known.at(leg.run, middle_m) if on_track else []:
+        begin = chainage_m - middle_m + begin_m
+        lines.append(
+            {
+                "line": network.lines[line].line,
+                "direction": network.lines[line].direction,
+                "destination": network.lines[line].destination,
+                "from_m": begin,
+                "to_m": begin + end_m - begin_m,
+            }
+        )
+    return {
+        "edge": network.name_of(leg.run) if on_track else None,
+        "run": leg.run,
+        "from_m": begin_m,
+        "to_m": end_m,
+        "entered_ns": leg.begin_ns,
+        "left_ns": leg.end_ns,
+        "entered": source.time(leg.begin_ns),
+        "probability": leg.probability,
+        "lines": lines,
+    }
+
+
+def _covered(legs: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
+    """How much of the path each line goes along: the line that was driven comes first."""
+    covered: dict[tuple[str, str], float] = {}
+    for leg in legs:
+        for each in leg["lines"]:
+            name = each["line"], each["direction"]
+            covered[name] = covered.get(name, 0.0) + leg["to_m"] - leg["from_m"]
+    return covered
+
+
+# Tables -------------------------------------------------------------------------------------------
+LEG_HEAD = ("entered", "run", "from, m", "to, m", "probability", "on the line")
+
+
+def leg_rows(figures: dict[str, Any]) -> list[tuple[str, str, str, str, str, str]]:
+    """A row for each run of the path; see `LEG_HEAD`."""
+    rows = []
+    for leg in figures["path"]:
+        if leg["edge"] is None:
+            rows.append((leg["entered"], "off the map", "", "", "", ""))
+            continue
+        ends = f"{leg['from_m']:.1f}", f"{leg['to_m']:.1f}"
+        lines = "; ".join(
+            f"{each['line']}/{each['direction']} {round(each['from_m'])}–{round(each['to_m'])} m"
+            for each in leg["lines"][:2]
+        )
+        rows.append((leg["entered"], leg["edge"], *ends, f"{leg['probability']:.3f}", lines))
+    return rows
+
+
+def facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of each figure, for people."""
+    across = figures["across_rms_m"]
+    told = [
+        ("matched", figures["matched"]),
+        ("duration", f"{figures['duration_s']:.1f} s"),
+        ("on track", f"{figures['on_track_share']:.1%} of the time, {figures['length_m']:.0f} m"),
+    ]
+    if across is not None:
+        text = f"RMS {across:.2f} m, 95 % within {figures['across_p95_m']:.2f} m"
+        told.append(("across", f"{text} of the track"))
+    return told + [("note", each) for each in figures["notes"]]
+
+
+def _print(figures: dict[str, Any]) -> None:
+    import sys
+
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    for name, value in facts(figures):
+        console.print(f"{name:<10}{value}", markup=False, highlight=False, soft_wrap=True)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in LEG_HEAD:
+        table.add_column(name, justify="right" if name in ("from, m", "to, m") else "left")
+    for row in leg_rows(figures):
+        table.add_row(*map(escape, row))
+    console.print(table)
+    for name in ("out", "csv"):
+        if name in figures:
+            console.print(f"{name:<10}{figures[name]}", markup=False, highlight=False)
+
+
+def _write_csv(target: Path, network: Network, known: References, source: Source) -> None:
+    import csv as tables
+
+    import numpy as np
+
+    from tramstream.cli.network_drawing import plan_at
+
+    plan = [
+        plan_at(network, place.run >> 1, _drawn_m(network, place.run, place.chainage_m))
+        for place in source.path.places
+        if place.run >= 0
+    ]
+    geodetic = iter(np.degrees(network.geodetic_of(np.array(plan).reshape(-1, 2))).tolist())
+    head = "stamp_ns edge run chainage_m across_m probability latitude_deg longitude_deg"
+    with target.open("w", newline="", encoding="utf-8") as file:
+        table = tables.writer(file)
+        table.writerow([*head.split(), "line", "direction", "line_chainage_m"])
+        for place in source.path.places:
+            if place.run < 0:
+                table.writerow([place.stamp_ns, "", -1])
+                continue
+            row: list[object] = [place.stamp_ns, network.name_of(place.run), place.run]
+            row += [f"{place.chainage_m:.2f}", f"{place.across_m:.2f}", f"{place.probability:.4f}"]
+            row += [f"{each:.8f}" for each in next(geodetic)]
+            found = known.at(place.run, place.chainage_m)
+            if found:
+                line = network.lines[found[0].line]
+                row += [line.line, line.direction, f"{found[0].chainage_m:.2f}"]
+            table.writerow(row)
+
+
+def _drawn_m(network: Network, run: int, chainage_m: float) -> float:
+    """Chainage along the track as drawn."""
+    return chainage_m if run % 2 == 0 else float(network.length_m[run >> 1]) - chainage_m
