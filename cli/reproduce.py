@@ -51,7 +51,7 @@ def reproduce(
         list[str] | None,
         typer.Option(
             help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m; "
-            "may be given several times; default all.",
+            "default all. matching: plain (the default), slow or gyro. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[

@@ -85,19 +85,21 @@ def _cases(network: str, lines: Sequence[str], options: Options) -> list[Case]:
     first = 1 if options.seed is None else options.seed
     seeds = range(first, first + (options.seeds or SEEDS))
     detours = DETOURS if options.detours is None else options.detours
-    duration_s = options.duration_s
-    cases = [
-        Case(network, line, seed, False, duration_s, seed == first)
-        for line in lines
-        for seed in seeds
-    ]
-    return cases + [
-        Case(
-            network, lines[number % len(lines)], first + number, True, duration_s,
-            number < len(lines),
+    kinds = options.kinds or (study.PLAIN,)
+    if unknown := set(kinds) - set(study.KINDS):
+        raise ConfigError(
+            f"no rides are called {min(unknown)!r}; there are: {', '.join(study.KINDS)}"
         )
+    rides = [(line, seed, False, seed == first) for line in lines for seed in seeds]
+    rides += [
+        (lines[number % len(lines)], first + number, True, number < len(lines))
         for number in range(detours)
-    ]  # fmt: skip
+    ]
+    return [
+        Case(network, line, seed, detour, options.duration_s, free, kind)
+        for kind in kinds
+        for line, seed, detour, free in rides
+    ]
 
 
 # JSON ---------------------------------------------------------------------------------------------
@@ -147,7 +149,7 @@ def _plain_ride(ride: Figures) -> dict[str, Any]:
 
 def _plain_tallies(each: Total | Figures) -> dict[str, Any]:
     return {
-        name: {"right": tally.right, "count": tally.count, "share": tally.share}
+        name: {"right": tally.right, "total": tally.total, "share": tally.share}
         for name, tally in each.tallies.items()
     }
 
@@ -176,10 +178,11 @@ def _print(console: Console, figures: Sequence[Figures], elapsed_s: float) -> No
         "too where rails have not parted yet (less than 1 m), which strict does not allow.\n"
         "parallel: where the true track has a neighbour. nearest: nearest track of each fix; no\n"
         "map: of the position of a filter without the map, on the first ride of each line and\n"
-        "its first detour. way: facing switches, asked so far beyond. along:\n"
-        "distance from the truth along the track, and how often it is within 2 σ (95.4 is right).\n"
-        "start: from the filter's first position to the first answer. episodes: stretches of one\n"
-        "candidate in one bin; ± is of the share right if each were one throw.",
+        "its first detour. way: facing switches, asked so far beyond; parted: at 30 m, or farther\n"
+        "where the rails part there. along: distance from the truth along the track, and how\n"
+        "often it is within 2 σ (95.4 is right). start: from the filter's first position to the\n"
+        "first answer. episodes: stretches of one candidate in one bin; ± is of the share right\n"
+        "if each were one throw.",
         soft_wrap=True,
     )
 
@@ -203,12 +206,22 @@ def _tracks(totals: Sequence[Total]) -> Table:
 
 def _switches(totals: Sequence[Total]) -> Table:
     percentiles = (f"P{each}" for each in PERCENTILES)
-    columns = ("switches", "way 30 m", "15 m", "along", *percentiles, "2 σ", "start s", "µs")
+    columns = (
+        "switches",
+        "way 30 m",
+        "15 m",
+        "parted",
+        "along",
+        *percentiles,
+        "2 σ",
+        "start s",
+        "µs",
+    )
     table = _table(f"{NAME}: right ways at switches, %, and along the track, m", "route", columns)
     for total in totals:
         table.add_row(
             total.name,
-            str(total.tallies[SWITCHES[0]].count),
+            str(total.tallies[SWITCHES[0]].total),
             *(_percent(total, name) for name in SWITCHES),
             "",
             *(f"{each:.1f}" for each in total.along_m),
@@ -225,7 +238,7 @@ def _reliability(title: str, bins: Sequence[Bin]) -> Table:
     for each in bins:
         table.add_row(
             f"{100 * each.low:g} to {100 * each.high:g}",
-            str(each.count),
+            str(each.points),
             str(each.episodes),
             f"{100 * each.stated:.2f}",
             f"{100 * each.right:.2f}",
@@ -241,8 +254,9 @@ def _print_mistakes(console: Console, figures: Sequence[Figures]) -> None:
         return
     found.sort(key=lambda each: each[1].start_s - each[1].end_s)
     shown = found[:MISTAKES_SHOWN]
-    columns = ("seed", "at s", "for s", "at m", "", "true", "said", "%")
-    table = _table(f"{NAME}: mistakes, {len(shown)} of {len(found)}, longest first", "", columns)
+    columns = ("seed", "at s", "for s", "at m", "", "run", "said", "called %")
+    title = f"{NAME}: mistakes, {len(shown)} of {len(found)}, longest first; names by --json"
+    table = _table(title, "route", columns)
     for ride, mistake in shown:
         table.add_row(ride.route, str(ride.seed), *_mistake(mistake))
     console.print(table, "")
@@ -255,8 +269,8 @@ def _mistake(mistake: Mistake) -> list[str]:
         f"{lasted_s:.1f}" if mistake.kind == "track" else mistake.kind,
         f"{mistake.route_m:.0f}",
         "standing" if mistake.standing else "",
-        f"{mistake.true} ({mistake.true_run})",
-        f"{mistake.said} ({mistake.said_run})" if mistake.said else "–",
+        str(mistake.true_run),
+        str(mistake.said_run) if mistake.said else "–",
         f"{100 * mistake.probability:.1f}",
     ]
 

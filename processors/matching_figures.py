@@ -20,8 +20,8 @@ STRICT = "right_track_at_switches_too"
 """The same without leave for rails that have not parted yet."""
 DIRECTION = "right_direction"
 """Of the points on the right track since the matcher knows its direction."""
-SWITCHES = ("right_way_30_m", "right_way_15_m")
-"""Of the facing switches passed, so far beyond each; `matching_judge.BEYOND_M`."""
+SWITCHES = ("right_way_30_m", "right_way_15_m", "right_way_parted")
+"""Of the facing switches passed, so far beyond each; 30 m or where the rails have parted."""
 TWO_SIGMA = "along_within_2_sigma"
 """0.954 where the stated deviation is right."""
 NEAREST_FIX, NEAREST_STATE = "nearest_to_fix", "nearest_to_filter_without_map"
@@ -42,11 +42,11 @@ class Tally(NamedTuple):
     """So many right ones of so many."""
 
     right: int
-    count: int
+    total: int
 
     @property
     def share(self) -> float | None:
-        return self.right / self.count if self.count else None
+        return self.right / self.total if self.total else None
 
 
 class Mistake(NamedTuple):
@@ -117,7 +117,7 @@ class Bin(NamedTuple):
 
     low: float
     high: float
-    count: int
+    points: int
     episodes: int
     stated: float
     """Mean probability."""
@@ -158,20 +158,20 @@ def bins(reliability: Reliability) -> list[Bin]:
     """The lines of a reliability table that have anything in them."""
     highs = [*EDGES[1:].tolist(), 1.0]
     found = []
-    for low, high, count, stated, right, episodes in zip(
+    for low, high, points, stated, right, episodes in zip(
         EDGES.tolist(), highs, *(column.tolist() for column in reliability), strict=True
     ):
-        if count:
-            share = right / count
+        if points:
+            share = right / points
             # One more of either kind: a bin without a mistake is not without doubt.
             guess = (share * episodes + 1.0) / (episodes + 2.0)
             std = float(np.sqrt(guess * (1.0 - guess) / episodes))
-            found.append(Bin(low, high, int(count), int(episodes), stated / count, share, std))
+            found.append(Bin(low, high, int(points), int(episodes), stated / points, share, std))
     return found
 
 
 def _sum(tallies: Sequence[Tally]) -> Tally:
-    return Tally(sum(each.right for each in tallies), sum(each.count for each in tallies))
+    return Tally(sum(each.right for each in tallies), sum(each.total for each in tallies))
 
 
 def _added(several: Sequence[Reliability]) -> Reliability:

@@ -27,7 +27,7 @@ PARTED_M = 1.0
 """Less than the gauge: two tracks that are nearer have rails between each other's."""
 ALIKE_RAD = 0.35
 """Tracks that cross under more than this are not one, however near."""
-BEYOND_M = (30.0, 15.0)
+BEYOND_M = 30.0
 """From a switch to where the way taken is asked for."""
 
 EDGES = np.array([
@@ -65,7 +65,7 @@ class Passed(NamedTuple):
 class Reliability(NamedTuple):
     """Bins of stated probabilities, one row each from `EDGES` on; sums, so that rides add up."""
 
-    count: Array
+    points: Array
     stated: Array
     """Sum of the probabilities."""
     right: Array
@@ -137,15 +137,23 @@ def _unparted(ride: NetworkRide, said: Spots, route_m: Array) -> Flags:
 
 # Switches -----------------------------------------------------------------------------------------
 def ways(
-    ride: NetworkRide, said: Spots, verdicts: Verdicts, route_m: Array, beyond_m: float
+    ride: NetworkRide,
+    said: Spots,
+    verdicts: Verdicts,
+    route_m: Array,
+    beyond_m: float = BEYOND_M,
+    parted: bool = False,
 ) -> list[Passed]:
     """Ask for the way taken at each facing switch of the route, so far beyond it.
 
-    Where the ride ends earlier it is asked there; switches less than half as far from the end, and
-    such that the answers begin beyond, are left out. `route_m` ascends.
+    If `parted`, it is asked no earlier than the rails of all ways have parted: at some switches
+    that takes more than 50 m. Where the ride ends earlier it is asked there; switches less than
+    half as far from the end, and such that the answers begin beyond, are left out. `route_m`
+    ascends.
     """
-    found = []
+    found, least_m = [], beyond_m
     for choice in ride.choices:
+        beyond_m = max(least_m, parted_m(ride, choice)) if parted else least_m
         asked_m = min(choice.route_m + beyond_m, float(route_m[-1]))
         if asked_m < choice.route_m + beyond_m / 2 or route_m[0] > choice.route_m:
             continue
@@ -165,6 +173,19 @@ def _right_way(
     own = reached(ride.network, choice.taken, reach_m)
     other = set().union(*(reached(ride.network, each, reach_m) for each in choice.others))
     return run in own - other
+
+
+def parted_m(ride: NetworkRide, choice: Choice) -> float:
+    """How far beyond a switch the rails of all ways have parted; at a way's end at the latest."""
+    farthest_m = 0.0
+    for other in choice.others:
+        steps = np.arange(1.0, max(float(ride.network.length_m[other >> 1]), 2.0))
+        beside = plan_at(ride.network, Spots(np.full(len(steps), other), steps))
+        own = plan_at(ride.network, ride.spots_at(choice.route_m + steps))
+        off_m = np.hypot(*(beside - own).T)
+        away = np.flatnonzero(off_m > PARTED_M)
+        farthest_m = max(farthest_m, float(steps[away[0] if len(away) else -1]))
+    return farthest_m
 
 
 def reached(network: Network, run: int, within_m: float) -> set[int]:
@@ -197,9 +218,9 @@ def reliability(probability: Array, right: Flags, run: Integers, time_s: Array) 
     size = len(EDGES)
     return Reliability(
         np.bincount(bins, minlength=size).astype(float),
-        np.bincount(bins, probability, size),
-        np.bincount(bins, right, size),
-        np.bincount(bins[order], new, size),
+        np.bincount(bins, probability, size).astype(float),
+        np.bincount(bins, right, size).astype(float),
+        np.bincount(bins[order], new, size).astype(float),
     )
 
 

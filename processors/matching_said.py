@@ -89,16 +89,20 @@ class Columns(NamedTuple):
 
     @property
     def answered(self) -> Flags:
-        return self.spots.run != NO_RUN
+        answered: Flags = self.spots.run != NO_RUN
+        return answered
 
     def since(self, first: int) -> Columns:
         """From a row on."""
         kept = self.other_row >= first
         return Columns(
-            *(each[first:] for each in (self.time_s, self.geodetic)),
-            Spots(*(each[first:] for each in self.spots)),
-            *(each[first:] for each in (self.std_m, self.probability, self.headed)),
-            self.other_row[kept] - first,
-            Spots(*(each[kept] for each in self.others)),
-            self.other_probability[kept],
+            time_s=self.time_s[first:],
+            geodetic=self.geodetic[first:],
+            spots=Spots(self.spots.run[first:], self.spots.chainage_m[first:]),
+            std_m=self.std_m[first:],
+            probability=self.probability[first:],
+            headed=self.headed[first:],
+            other_row=self.other_row[kept] - first,
+            others=Spots(self.others.run[kept], self.others.chainage_m[kept]),
+            other_probability=self.other_probability[kept],
         )

@@ -65,6 +65,12 @@ SCENARIO = "matching"
 EVERY = 10
 """Judged frames: 10 Hz."""
 DETOUR = "detour"
+PLAIN, SLOW, GYRO = KINDS = ("plain", "slow", "gyro")
+"""Of rides: as the scenario says; errors of the fixes that last ten times as long, as beside high
+houses, which nobody tells the filter; gyroscopes whose bias walks as that of the work."""
+SLOW_DECAY = 0.995
+GYRO_WALK_RADPS2_RTHZ = 0.00007563
+"""K of theory.md section 3."""
 _TRIES = 20
 """Detours are drawn anew where no tram can follow them."""
 _ALONG_EVERY = 10
@@ -83,11 +89,15 @@ class Case(NamedTuple):
     duration_s: float | None = None
     free: bool = False
     """Also through a filter without the map, for nearest-track matching of its positions."""
+    kind: str = PLAIN
+    """One of `KINDS`."""
     map_error_m: float = ERROR_STD_M
 
     @property
     def route(self) -> str:
-        return DETOUR if self.detour else self.line
+        """What its figures are summed up by."""
+        route = DETOUR if self.detour else self.line
+        return route if self.kind == PLAIN else f"{route}, {self.kind}"
 
 
 @cache
@@ -126,13 +136,13 @@ def ride_of(case: Case) -> NetworkRide:
     """
     network = load(case.network)
     line = _line(network, case.line)
-    rng = np.random.default_rng([case.seed, zlib.crc32(f"{case.route} {case.line}".encode())])
+    rng = np.random.default_rng(_words(case))
     error = MapError(case.map_error_m)
     if not case.detour:
         return lay(network, route_of(line), rng, error)
     for attempt in range(_TRIES):
         try:
-            return lay(network, detour(network, line, rng, case.route), rng, error)
+            return lay(network, detour(network, line, rng), rng, error)
         except ConfigError:
             if attempt == _TRIES - 1:
                 raise
@@ -141,9 +151,32 @@ def ride_of(case: Case) -> NetworkRide:
 
 def simulation_of(case: Case, ride: NetworkRide) -> Simulation:
     """Set up the ride's sensors."""
-    words = [case.seed, zlib.crc32(f"{case.route} {case.line}".encode())]
-    seed = int(np.random.SeedSequence(words).generate_state(1)[0])
-    return Simulation(ride.line, scenario.load(SCENARIO), seed, case.duration_s)
+    chosen = scenario.load(SCENARIO)
+    imu, gnss = chosen.imu, chosen.gnss
+    assert imu is not None
+    assert gnss is not None
+    if case.kind == SLOW:
+        chosen = replace(chosen, gnss=replace(gnss, errors=replace(gnss.errors, decay=SLOW_DECAY)))
+    elif case.kind == GYRO:
+        errors = replace(imu.errors, gyro_walk_radps2_rthz=GYRO_WALK_RADPS2_RTHZ)
+        chosen = replace(chosen, imu=replace(imu, errors=errors))
+    seed = int(np.random.SeedSequence(_words(case)).generate_state(1)[0])
+    return Simulation(ride.line, chosen, seed, case.duration_s)
+
+
+def vehicle_of(case: Case, simulation: Simulation) -> config.Vehicle:
+    """What the filter is told of the ride's sensors, without the map."""
+    vehicle = simulation.vehicle
+    if case.kind == SLOW and vehicle.gnss is not None:
+        usual = config.Gnss(device="").error_tau_s
+        vehicle = replace(vehicle, gnss=replace(vehicle.gnss, error_tau_s=usual))
+    return vehicle
+
+
+def _words(case: Case) -> list[int]:
+    """What all chance of a ride hangs on; kinds differ in nothing but their sensors."""
+    way = DETOUR if case.detour else case.line
+    return [case.seed, zlib.crc32(f"{way} {case.line}".encode())]
 
 
 def _line(network: Network, name: str) -> RouteLine:
@@ -156,9 +189,9 @@ def study(case: Case) -> Figures:
     """Run one ride through the filter with its map, and judge."""
     ride = ride_of(case)
     simulation = simulation_of(case, ride)
-    vehicle = replace(simulation.vehicle, map=config.Map(network=case.network))
-    localisation = LocalisationFilter(vehicle)
-    free = LocalisationFilter(simulation.vehicle) if case.free else None
+    vehicle = vehicle_of(case, simulation)
+    localisation = LocalisationFilter(replace(vehicle, map=config.Map(network=case.network)))
+    free = LocalisationFilter(vehicle) if case.free else None
     fixes: list[GnssFix] = []
     said, said_freely, elapsed_s, number = Said(), Said(), 0.0, 0
     for number, frame in enumerate(frames(simulation, fixes)):
@@ -189,7 +222,11 @@ def figures(
     motion = simulation.ride.motion(points.time_s)
     route_m = ride.route_at(motion.arc_length_m)
     verdicts = _verdicts(ride, points.spots, route_m)
-    beyond = [judge.ways(ride, points.spots, verdicts, route_m, way) for way in judge.BEYOND_M]
+    beyond = [
+        judge.ways(ride, points.spots, verdicts, route_m, way, parted)
+        for way, parted in ((judge.BEYOND_M, False), (judge.BEYOND_M / 2, False),
+                            (judge.BEYOND_M, True))
+    ]  # fmt: skip
     beside = _beside(ride, route_m)
     right, on_route = verdicts.right, np.isfinite(verdicts.along_m) & verdicts.on_track
     headed = verdicts.on_track & points.headed
@@ -238,7 +275,7 @@ def _verdicts(ride: NetworkRide, said: Spots, route_m: Array) -> Verdicts:
         found = judge.judge(ride, Spots(said.run[rows], said.chainage_m[rows]), route_m[rows])
         flags[:, rows] = found.on_track, found.onward, found.unparted
         along_m[rows] = found.along_m
-    return Verdicts(*flags, along_m)
+    return Verdicts(flags[0], flags[1], flags[2], along_m)
 
 
 def _beside(ride: NetworkRide, route_m: Array) -> Flags:
@@ -256,20 +293,21 @@ def _reliabilities(
     Of several candidates that are all right (the end of one run and the begin of the next; both
     directions before the matcher knows its own) the likeliest counts; the rest is the same answer.
     """
-    rows = np.flatnonzero(points.answered)
-    headed = points.headed
-    best_right = np.where(headed, verdicts.onward, verdicts.on_track)[rows]
-    best = (points.probability[rows], best_right, points.spots.run[rows], points.time_s[rows])
-    of = points.other_row
+    rows, of = np.flatnonzero(points.answered), points.other_row
     others = _verdicts(ride, points.others, route_m[of])
-    other_right = np.where(headed[of], others.onward, others.on_track)
-    answered_right = np.zeros(len(headed), dtype=np.bool_)
-    answered_right[rows] = best_right
-    again = _again(of, other_right) | (other_right & answered_right[of])
-    other = (points.other_probability, other_right, points.others.run, points.time_s[of])
-    other = tuple(column[~again] for column in other)
-    both = [np.concatenate(pair) for pair in zip(best, other, strict=True)]
-    return judge.reliability(*best), judge.reliability(both[0], both[1], both[2], both[3])
+    right = np.where(points.headed, verdicts.onward, verdicts.on_track)
+    other_right = np.where(points.headed[of], others.onward, others.on_track)
+    kept = ~(_again(of, other_right) | (other_right & right[of]))
+    best = judge.reliability(
+        points.probability[rows], right[rows], points.spots.run[rows], points.time_s[rows]
+    )
+    candidates = judge.reliability(
+        np.append(points.probability[rows], points.other_probability[kept]),
+        np.append(right[rows], other_right[kept]),
+        np.append(points.spots.run[rows], points.others.run[kept]),
+        np.append(points.time_s[rows], points.time_s[of][kept]),
+    )
+    return best, candidates
 
 
 def _again(row: Integers, right: Flags) -> Flags:

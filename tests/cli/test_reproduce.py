@@ -88,6 +88,9 @@ def test_matching_wants_a_network_and_lines_that_it_has(tmp_path: Path) -> None:
     unknown = run("matching", "--net", str(path), "--line", "7", "--json")
     assert isinstance(unknown.exception, ConfigError)
     assert "it has 1/0" in str(unknown.exception)
+    kind = run("matching", "--net", str(path), "--kind", "white")
+    assert isinstance(kind.exception, ConfigError)
+    assert "plain, slow, gyro" in str(kind.exception)
 
 
 @pytest.mark.live
@@ -104,13 +107,13 @@ def test_matching_prints_one_json_object_of_lines_and_detours(tmp_path: Path) ->
     ]  # fmt: skip
     assert [total["name"] for total in figures["overall"]] == ["1/0", "detour", "all"]
     whole = figures["overall"][-1]
-    assert whole["right_track"]["count"] == sum(
-        ride["right_track"]["count"] for ride in figures["rides"]
+    assert whole["right_track"]["total"] == sum(
+        ride["right_track"]["total"] for ride in figures["rides"]
     )
     bins = whole["reliability"]["most_probable"]
-    assert sum(each["count"] for each in bins) <= whole["right_track"]["count"]
+    assert sum(each["points"] for each in bins) <= whole["right_track"]["total"]
     assert all(each["low"] <= each["stated"] <= each["high"] for each in bins)
-    assert whole["nearest_to_fix"]["count"] > 0
+    assert whole["nearest_to_fix"]["total"] > 0
 
 
 @pytest.mark.live

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -143,6 +144,24 @@ def test_switch_is_left_out_where_the_ride_ends_just_beyond() -> None:
     assert [each.choice.node for each in found] == [1]
 
 
+def test_way_is_asked_where_rails_have_parted_if_that_is_farther() -> None:
+    branch, crossover = main_ride().choices
+    assert 15.0 < judge.parted_m(main_ride(), branch) < 20.0
+    apart_m = judge.parted_m(main_ride(), crossover)
+    off_m = np.abs(network().north[network().samples_of(6)])
+    np.testing.assert_allclose(off_m[round(apart_m)], judge.PARTED_M, atol=0.12)
+    assert apart_m > judge.BEYOND_M / 2
+    route_m = np.arange(0.0, LAST_M, 1.0)
+    said = main_ride().spots_at(route_m)
+    asked = judge.ways(
+        main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, 5.0, parted=True
+    )
+    assert [each.row for each in asked] == [
+        math.ceil(choice.route_m + judge.parted_m(main_ride(), choice))
+        for choice in (branch, crossover)
+    ]
+
+
 # Probabilities ------------------------------------------------------------------------------------
 def test_bins_hold_what_was_said_and_count_stretches() -> None:
     probability = np.array([0.9, 0.91, 0.9, 0.5, 0.9, 1.0])
@@ -152,10 +171,10 @@ def test_bins_hold_what_was_said_and_count_stretches() -> None:
     ninety, half, certain = (
         int(np.searchsorted(judge.EDGES, p, side="right")) - 1 for p in (0.9, 0.5, 1.0)
     )
-    assert (found.count[ninety], found.right[ninety], found.episodes[ninety]) == (4, 3, 3)
-    assert (found.count[half], found.right[half], found.episodes[half]) == (1, 0, 1)
-    assert (found.count[certain], found.right[certain]) == (1, 1)
-    assert np.sum(found.count) == 6
+    assert (found.points[ninety], found.right[ninety], found.episodes[ninety]) == (4, 3, 3)
+    assert (found.points[half], found.right[half], found.episodes[half]) == (1, 0, 1)
+    assert (found.points[certain], found.right[certain]) == (1, 1)
+    assert np.sum(found.points) == 6
     (_, table, _) = summed.bins(found)
     assert (table.low, table.high) == (0.87, 0.93)
     assert table.stated == pytest.approx(0.9025)
@@ -168,7 +187,7 @@ def test_calibrated_probabilities_are_found_calibrated() -> None:
     right = rng.uniform(size=len(stated)) < stated
     run, time_s = np.zeros(len(stated), dtype=np.int64), 10.0 * np.arange(len(stated))
     for each in summed.bins(judge.reliability(stated, right, run, time_s)):
-        assert each.episodes == each.count
+        assert each.episodes == each.points
         assert each.right == pytest.approx(each.stated, abs=4 * each.std + 1e-9)
 
 
@@ -223,9 +242,9 @@ def test_true_answers_are_all_right() -> None:
     figures = figured()
     for name in (TRACK, STRICT, STANDING, BESIDE, DIRECTION, *SWITCHES):
         tally = figures.tallies[name]
-        assert tally.count > 0
-        assert tally.right == tally.count, name
-    assert figures.tallies[SWITCHES[0]].count == 2
+        assert tally.total > 0
+        assert tally.right == tally.total, name
+    assert figures.tallies[SWITCHES[0]].total == 2
     assert figures.tallies[NEAREST_FIX] == Tally(0, 0)
     assert np.max(np.abs(figures.along_m)) < 1e-3
     assert figures.mistakes == ()
@@ -237,26 +256,26 @@ def test_true_answers_are_all_right() -> None:
 def test_wrong_answers_are_counted_and_told() -> None:
     figures = figured({(5.0, 15.0): (10, 900.0)})
     tally = figures.tallies[TRACK]
-    assert tally.count - tally.right == 100
+    assert tally.total - tally.right == 100
     standing = figures.tallies[STANDING]
-    assert standing.count - standing.right == 100
+    assert standing.total - standing.right == 100
     (mistake,) = figures.mistakes
     assert (mistake.kind, mistake.standing) == ("track", True)
     assert (mistake.start_s, mistake.end_s) == pytest.approx((5.0, 14.9))
     assert (mistake.true, mistake.said) == (network().name_of(0), network().name_of(10))
     low, ninety = summed.bins(figures.candidates)
-    assert (low.count, ninety.count) == (tally.count, tally.count)
-    assert low.right == pytest.approx(100 / tally.count)
-    assert ninety.right == pytest.approx(1 - 100 / tally.count)
+    assert (low.points, ninety.points) == (tally.total, tally.total)
+    assert low.right == pytest.approx(100 / tally.total)
+    assert ninety.right == pytest.approx(1 - 100 / tally.total)
 
 
 def test_time_without_an_answer_counts_from_the_first_one_on() -> None:
     late, early = figured(silent_s=10.0), figured()
     assert late.starting_s == pytest.approx(10.0)
-    assert early.tallies[TRACK].count - late.tallies[TRACK].count == 100
+    assert early.tallies[TRACK].total - late.tallies[TRACK].total == 100
     assert late.tallies[TRACK].share == 1.0
     never = figured(silent_s=1e6)
-    assert never.tallies[TRACK] == Tally(0, early.tallies[TRACK].count)
+    assert never.tallies[TRACK] == Tally(0, early.tallies[TRACK].total)
     assert never.tallies[SWITCHES[0]] == Tally(0, 2)
 
 
@@ -269,7 +288,7 @@ def test_rides_add_up() -> None:
         assert whole.tallies[name].right == sum(
             each.tallies[name].right for each in (first, second)
         )
-    assert np.sum(whole.best.count) == np.sum(first.best.count) + np.sum(second.best.count)
+    assert np.sum(whole.best.points) == np.sum(first.best.points) + np.sum(second.best.points)
     assert [each.name for each in summed.totals([one])] == ["1/0"]
 
 
@@ -290,14 +309,35 @@ def test_whole_ride_goes_through_filter_and_matcher_and_repeats_itself(tmp_path:
         == again._replace(step_us=0.0, along_m=np.zeros(0)).__repr__()
     )
     np.testing.assert_array_equal(first.along_m, again.along_m)
-    assert first.tallies[TRACK].count > 600
+    assert first.tallies[TRACK].total > 600
     assert 0.3 < (first.tallies[NEAREST_FIX].share or 0.0) < 0.95
     assert 0.3 < (first.tallies[NEAREST_STATE].share or 0.0) <= 1.0
     assert first.tallies[DIRECTION].share == 1.0
     other = study.study(case._replace(detour=True, free=False, duration_s=30.0))
     assert other.route == study.DETOUR
-    assert other.tallies[TRACK].count > 250
+    assert other.tallies[TRACK].total > 250
     assert other.tallies[NEAREST_STATE] == Tally(0, 0)
+
+
+def test_kinds_differ_in_their_sensors_and_in_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "small.net"
+    network().save(path)
+    case = Case(str(path), "1/0", seed=2)
+    ride = study.ride_of(case)
+    plain, slow, gyro = (
+        study.simulation_of(case._replace(kind=kind), ride) for kind in study.KINDS
+    )
+    assert plain.seed == slow.seed == gyro.seed
+    for simulation_ in (plain, slow, gyro):
+        assert simulation_.scenario.gnss is not None
+        assert simulation_.scenario.imu is not None
+    assert slow.scenario.gnss.errors.decay > plain.scenario.gnss.errors.decay
+    walks = [each.scenario.imu.errors.gyro_walk_radps2_rthz for each in (plain, slow, gyro)]
+    assert walks[0] == walks[1] < walks[2]
+    told = study.vehicle_of(case._replace(kind=study.SLOW), slow).gnss
+    assert told is not None
+    assert told.error_tau_s == 20.0
+    assert study.Case("", "1/0", kind=study.SLOW).route == "1/0, slow"
 
 
 def errors_of(case: Case) -> Array:
