@@ -16,7 +16,6 @@ from bokeh.models import (
     ColumnDataSource,
     CustomJS,
     CustomJSHover,
-    DataRange1d,
     HoverTool,
     LegendItem,
     PanTool,
@@ -40,13 +39,12 @@ from tramstream.cli.report_charts import (
     FONT,
     GNSS,
     INK,
-    MARGIN,
     OTHER,
     SMOOTHED,
     SOFT,
     WHEELS,
     legend,
-    plain_figure,
+    map_figure,
 )
 from tramstream.network import BACKWARDS, FORWARDS, Array, Network, RouteLine
 from tramstream.network_lines import path_of
@@ -110,15 +108,7 @@ class NetworkFigure:
             low, high = np.nanmin(surroundings, axis=0), np.nanmax(surroundings, axis=0)
             margin = AROUND * float(np.max(high - low)) + AROUND_M
             self._view = View(low - margin, high + margin)
-        self.figure = plain_figure(
-            "",
-            HEIGHT,
-            x_range=DataRange1d(range_padding=0.03),
-            y_range=DataRange1d(range_padding=0.03),
-            match_aspect=True,
-            min_border_left=MARGIN,
-        )
-        self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = "east, m", "north, m"
+        self.figure = map_figure(HEIGHT, 0.03)
         corners = np.stack(self._view)
         frame = self.figure.scatter(corners[:, 0], corners[:, 1], size=0, alpha=0.0)
         self.figure.x_range.renderers = self.figure.y_range.renderers = [frame]

@@ -190,6 +190,20 @@ def broken(stamp_ns: Instants, table: Array, silence_s: float = SILENCE_S) -> tu
     )
 
 
+def map_figure(height: int, padding: float) -> Any:
+    """A figure of a plan, as long north as east; `padding` is the share left free at its rims."""
+    plot = plain_figure(
+        "",
+        height,
+        x_range=DataRange1d(range_padding=padding),
+        y_range=DataRange1d(range_padding=padding),
+        match_aspect=True,
+        min_border_left=MARGIN,
+    )
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "east, m", "north, m"
+    return plot
+
+
 def plain_figure(title: str, height: int, **options: Any) -> Any:
     """A figure in the report's style, without tools."""
     plot = figure(

@@ -11,7 +11,6 @@ import numpy as np
 from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
-    DataRange1d,
     HoverTool,
     LegendItem,
     PanTool,
@@ -21,13 +20,12 @@ from bokeh.models import (
 
 from tramstream.cli.report_charts import (
     BAD,
-    MARGIN,
     POINTS,
     TRUTH,
     Timeline,
     broken,
     legend,
-    plain_figure,
+    map_figure,
 )
 from tramstream.decimation import extremes
 from tramstream.series import Array, Instants
@@ -72,15 +70,7 @@ class RideMap:
         self._items: list[LegendItem] = []
         self.path: ColumnDataSource | None = None
         """The track that the timeline's chosen part is marked on; the last one added."""
-        self.figure = plain_figure(
-            "",
-            HEIGHT,
-            x_range=DataRange1d(range_padding=0.05),
-            y_range=DataRange1d(range_padding=0.05),
-            match_aspect=True,
-            min_border_left=MARGIN,
-        )
-        self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = "east, m", "north, m"
+        self.figure = map_figure(HEIGHT, 0.05)
         self.shown = ColumnDataSource({"east": [], "north": []})
         self.here = ColumnDataSource({"east": [], "north": []})
         self.figure.line(

@@ -79,6 +79,11 @@ def reprocess(
             f"{file}: {result.duration_s:.1f} s in {elapsed_s:.2f} s "
             f"({figures['speed']:.0f} times real time), {result.outputs} outputs to {out}"
         )
+    if result.without_map:
+        say(
+            f"$.map.network: {result.without_map}; localisation went on without the map "
+            "(--config takes a configuration that names the file where it is now)"
+        )
     for path, count in result.missing.items():
         say(f"{path}: {count} messages that the live processors read are not in the record")
     if comparison is None:

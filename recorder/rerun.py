@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from tramstream import config as configs
+from tramstream import network as networks
 from tramstream import registry
 from tramstream.clock import S
 from tramstream.config import Vehicle
@@ -31,6 +32,8 @@ class Rerun:
     duration_s: float
     missing: dict[str, int]
     comparison: Comparison | None
+    without_map: str = ""
+    """Why the configured track network was not used."""
 
     @property
     def identical(self) -> bool:
@@ -116,6 +119,7 @@ def rerun(
             duration_s=(record.end_ns - record.start_ns) / S,
             missing=missing,
             comparison=comparison,
+            without_map=_without_map(vehicle),
         )
 
 
@@ -164,6 +168,17 @@ def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:
         if isinstance(processor, Ordering) and plan.anchored:
             processor.late_recorded = plan.late
     return processors
+
+
+def _without_map(vehicle: Vehicle) -> str:
+    """Why the configured track network cannot be used; processors go on without it."""
+    if vehicle.map is None:
+        return ""
+    try:
+        networks.load(Path(vehicle.map.network))
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def _has(record: Record, processor: Processor) -> bool:

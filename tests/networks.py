@@ -1,43 +1,45 @@
-"""Small track networks made of exact lines, and estimates of vehicles that run on them.
+"""Small track networks made of exact lines; `estimates` are of vehicles that run on them.
 
-Each track is a `Line`, sampled in the network's plan at most a metre apart. What the estimates are
-off is made here: a first-order Gauss-Markov error of position and heading, with the covariance that
-it truly has. The filter's frame lies kilometres away from the network's and at another height.
+Each track is a `Line`, sampled in the network's plan at most a metre apart.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
 
-from tramstream.clock import S
-from tramstream.geodesy import LocalLevel, convergence_rad
-from tramstream.line import Line, Segment, parse_plan
-from tramstream.localisation import COVARIANCE, TRACKING, Estimate, OnTrack, values_of
-from tramstream.network import BACKWARDS, FORWARDS, SAMPLE_M, Network
+from tramstream.geodesy import LocalLevel
+from tramstream.line import Line, Segment, curve, parse_plan
+from tramstream.network import (
+    BACKWARDS,
+    FORWARDS,
+    PARTNER_LEFT,
+    PARTNER_RIGHT,
+    SAMPLE_M,
+    LineStop,
+    Network,
+    RouteLine,
+    Stop,
+    Way,
+)
 
 Array = NDArray[np.float64]
 
 LEVEL = LocalLevel.at_deg(50.08, 14.42, 250.0)
 """Of the networks and their lines."""
-FILTER_LEVEL = LocalLevel.at_deg(50.10, 14.45, 190.0)
-"""Of the estimates: 3 km away, 60 m lower."""
 YAW_RAD = 0.35
-"""Nothing here runs along an axis."""
+"""Nothing runs along an axis where nothing else is said."""
 BOTH = FORWARDS | BACKWARDS
 PARALLEL_M = 3.3
 """Between the middles of two parallel tracks."""
 SWITCH_M = 50.0
 """Radius of a switch's branch."""
-STEP_S = 0.05
-BEGIN_NS = 1_000 * S
 LADDER_RAD = 0.2
 """Between a depot's lead and its tracks."""
 
@@ -69,6 +71,12 @@ def laid(
     return Line(segments, [0.0, length_m], level, yaw_rad, (start[0], start[1], 0.0))
 
 
+def between(begin: tuple[float, float], end: tuple[float, float]) -> Line:
+    """A straight from one place to another."""
+    east, north = end[0] - begin[0], end[1] - begin[1]
+    return laid(straight(math.hypot(east, north)), begin, math.atan2(north, east))
+
+
 def after(line: Line, segments: Sequence[Segment]) -> Line:
     """A line that goes on where another ends."""
     end = line.position_l(line.length_m)
@@ -95,7 +103,7 @@ def network_of(
     joins: Iterable[tuple[int, int]] = (),
     rules: Sequence[int] = (),
     std_m: float = 0.01,
-    source: str = "a test",
+    source: str = "made by hand",
 ) -> Network:
     """A network of exact tracks.
 
@@ -151,6 +159,7 @@ def network_of(
         grade_std_rad=singles(math.nan),
         partner=np.zeros(len(rows), np.int8),
         source=source,
+        node_std_m=std_m,
     )
 
 
@@ -292,159 +301,100 @@ def ladder(count: int = 64, apart_m: float = 4.0) -> Made:
     return made(lines, joins, dict.fromkeys(lines, BOTH))
 
 
-# Motion -------------------------------------------------------------------------------------------
-class Course(NamedTuple):
-    """A motion along a line."""
-
-    time_s: Array
-    s: Array
-    """Way along the line, m."""
-    rate: Array
-    """Its derivative, m/s; negative: against the line."""
-
-
-def course(*legs: tuple[float, float], start_m: float = 0.0, step_s: float = STEP_S) -> Course:
-    """Go legs of (metres, seconds), each from standstill to standstill; no metres: stand."""
-    time, way, rate = [np.zeros(1)], [np.full(1, start_m)], [np.zeros(1)]
-    for metres, seconds in legs:
-        u = np.arange(1, round(seconds / step_s) + 1) / round(seconds / step_s)
-        time.append(time[-1][-1] + u * seconds)
-        way.append(way[-1][-1] + metres * (3.0 - 2.0 * u) * u * u)
-        rate.append(metres / seconds * 6.0 * u * (1.0 - u))
-    return Course(*(np.concatenate(each) for each in (time, way, rate)))
-
-
-def steady(metres: float, speed_mps: float, start_m: float = 0.0) -> Course:
-    """Go at one speed from the first instant to the last."""
-    time = np.arange(0.0, metres / speed_mps, STEP_S)
-    return Course(time, start_m + speed_mps * time, np.full(len(time), speed_mps))
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Gauss-Markov errors of the estimates, and what they claim.
-
-    They change while the vehicle moves: one that stands is held by its wheels.
-    """
-
-    std_m: float = 0.5
-    """Per axis."""
-    time_s: float = 300.0
-    yaw_std_rad: float = 0.01
-    yaw_time_s: float = 300.0
-    offset_l: tuple[float, float] = (0.0, 0.0)
-    """East, north: what is added and not claimed."""
+# A street of two tracks from west to east with a loop at each end: a ring. From switch S a branch
+# goes south, both ways; from its begin a crossover leads to the westbound track.
+#
+#         ┌──────── 4 (drawn eastwards, gone westwards) ──T──── 3 ────────┐
+#    loop 7                                              6│              loop 2
+#         └──────────────── 0 ────────────────────────────S──── 1 ────────┘
+#                                                          5 ↘ branch
+LOOP_M = 300.0
+_CORNER_M = 5.0
+"""Radius of the loops' corners, which are drawn 100 m apart."""
+_LOOP = [
+    *straight((LOOP_M - 100.0 - (math.pi - 2.0) * _CORNER_M) / 2.0),
+    *arc(_CORNER_M, math.pi / 2.0),
+    *straight(100.0 - 2.0 * _CORNER_M),
+    *arc(_CORNER_M, math.pi / 2.0),
+    *straight((LOOP_M - 100.0 - (math.pi - 2.0) * _CORNER_M) / 2.0),
+]
+TOWN_LINES = (
+    between((0.0, 0.0), (600.0, 0.0)),
+    between((600.0, 0.0), (1000.0, 0.0)),
+    laid(_LOOP, (1000.0, 0.0), 0.0),
+    between((1000.0, 100.0), (600.0, 100.0)),
+    between((0.0, 100.0), (600.0, 100.0)),
+    between((600.0, 0.0), (900.0, -400.0)),
+    between((600.0, 0.0), (600.0, 100.0)),
+    laid(_LOOP, (0.0, 100.0), math.pi),
+)
+TOWN_M = tuple(line.length_m for line in TOWN_LINES)
+RING_M = 600.0 + 400.0 + LOOP_M + 400.0 + 600.0 + LOOP_M
+TOWN_STOPS = (
+    Stop("West", 0, 50.0),
+    Stop("Square", 0, 300.0, "A"),
+    Stop("Twin", 1, 100.0),
+    Stop("Far", 2, 150.0),
+    Stop("Square", 4, 310.0, "B"),
+    Stop("West", 4, 60.0),
+    Stop("Twin", 5, 200.0),
+    Stop("Branch end", 5, 450.0),
+)
 
 
-class Obeying:
-    """A filter's share in the estimates: it takes what a matcher tells it about the rails.
-
-    A Kalman filter of the error of place and heading, which is what `driven` makes: each forgets
-    itself, and what it was told with it.
-    """
-
-    def __init__(self, noise: Noise) -> None:
-        self._initial = np.diag([noise.std_m**2, noise.std_m**2, noise.yaw_std_rad**2])
-        self._times_s = np.array([noise.time_s, noise.time_s, noise.yaw_time_s])
-        self.P = self._initial.copy()
-        self.correction = np.zeros(3)
-        """East, north, yaw: what to add to an estimate."""
-
-    def wait(self, dt_s: float) -> None:
-        keep = np.exp(-dt_s / self._times_s)
-        self.correction *= keep
-        both = np.outer(keep, keep)
-        self.P = both * self.P + (1.0 - both) * self._initial
-
-    def take(self, told: OnTrack) -> None:
-        """See `tramstream.localisation.Localiser.constrain`."""
-        east, north, bend = told.normal_east, told.normal_north, told.bend_per_m
-        H = np.array([[east, north, 0.0], [-bend * north, bend * east, 1.0]])
-        S = H @ self.P @ H.T + np.diag([told.across_variance, told.yaw_variance])
-        K = np.linalg.solve(S, H @ self.P).T
-        self.correction -= K @ (told.across_m, told.yaw_off_rad)
-        self.P = self.P - K @ S @ K.T
-
-    def apply(self, estimate: Estimate) -> Estimate:
-        """The estimate of a filter that has been told."""
-        values = estimate.values.copy()
-        values[[0, 1, 6]] += self.correction
-        covariance = values[COVARIANCE:].reshape(7, 7)
-        covariance[np.ix_([0, 1, 6], [0, 1, 6])] = self.P
-        return replace(estimate, values=values)
+def town(stops: Sequence[Stop] = TOWN_STOPS, ways: Sequence[Way] = ()) -> Network:
+    """The street above; run 0 leads to S, 9 goes west from T, 10 along the branch."""
+    joins = (0, 2), (0, 10), (2, 4), (4, 6), (6, 9), (9, 14), (14, 0), (11, 12), (12, 9)
+    rules = [FORWARDS] * len(TOWN_LINES)
+    rules[4], rules[5] = BACKWARDS, BOTH
+    network = network_of(TOWN_LINES, joins, rules, std_m=0.1)
+    return replace(network, stops=tuple(stops), ways=tuple(ways))
 
 
-@dataclass(frozen=True)
-class Driven:
-    """Estimates of a vehicle, and the truth."""
-
-    estimates: list[Estimate]
-    course: Course
-    plan: Array
-    """(n, 2): true place in the network's plan."""
-    off_l: Array
-    """(n, 2): error of the estimates."""
-    noise: Noise
-
-    @property
-    def stamps(self) -> list[int]:
-        return [each.stamp_ns for each in self.estimates]
-
-    def altered(self, begin: int, end: int, **changes: object) -> Driven:
-        """Estimates of a part with other fields, such as a mode."""
-        estimates = list(self.estimates)
-        estimates[begin:end] = [replace(each, **changes) for each in estimates[begin:end]]
-        return replace(self, estimates=estimates)
+# Two parallel tracks, a crossover between them, and a branch.
+#
+#    <---------------------------- 5 ------------------------------ N <------ 4 ------>
+#                                                   ____ 6 (crossover) _/
+#    ----- 0 ------> B ---------- 1 -----------> C ----------- 3 ----------->
+#                     \____ 2 (branch) ____
+#
+# Arrows are where trams are meant to go. One on track 0 meets two facing switches, at B and C.
+_CROSSOVER = [
+    Segment(15.0, 0.0, 0.0073),
+    Segment(15.0, 0.0073, 0.0),
+    Segment(15.0, 0.0, -0.0073),
+    Segment(15.0, -0.0073, 0.0),
+]
+_BRANCH = [*curve(50.0, math.radians(-40.0)), Segment(300.0)]
 
 
-def gauss_markov(rng: Generator, time_s: Array, std: float, correlation_s: float) -> Array:
-    """First-order, stationary."""
-    error = np.empty(len(time_s))
-    error[0] = rng.normal(0.0, std)
-    for k, dt in enumerate(np.diff(time_s).tolist()):
-        keep = math.exp(-dt / correlation_s)
-        error[k + 1] = keep * error[k] + rng.normal(0.0, std * math.sqrt(1.0 - keep * keep))
-    return error
-
-
-def driven(
-    line: Line, way: Course, noise: Noise | None = None, seed: int = 0, rear: bool = False
-) -> Driven:
-    """Estimates along a line.
-
-    Parameters
-    ----------
-    rear : bool
-        The vehicle's x axis points against the line: it goes along it with a negative speed.
-    """
-    noise = noise or Noise()
-    rng = np.random.default_rng(seed)
-    geodetic = line.level.to_geodetic(line.position_l(way.s))
-    flat = geodetic.copy()
-    flat[:, 2] = LEVEL.height_m
-    p_l = FILTER_LEVEL.from_geodetic(geodetic)
-    moving_s = np.concatenate([[0.0], np.cumsum(np.diff(way.time_s) * (way.rate[1:] != 0.0))])
-    off = [gauss_markov(rng, moving_s, noise.std_m, noise.time_s) for _ in range(2)]
-    off_l = np.column_stack(off) + noise.offset_l
-    p_l[:, :2] += off_l
-    yaw = line.yaw_rad(way.s) + np.pi * rear
-    yaw = yaw - convergence_rad(line.level, geodetic[:, 1])
-    yaw = yaw + convergence_rad(FILTER_LEVEL, geodetic[:, 1])
-    yaw = yaw + gauss_markov(rng, moving_s, noise.yaw_std_rad, noise.yaw_time_s)
-    turn = way.rate * line.curvature_per_m(way.s)
-    speed = -way.rate if rear else way.rate
-    covariance = np.diag(
-        [noise.std_m**2, noise.std_m**2, 1.0, 0.01, 1e-4, 1e-4, noise.yaw_std_rad**2]
-    )
-    estimates = [
-        Estimate(
-            BEGIN_NS + round(time * S),
-            TRACKING,
-            values_of((*place, v, 0.0, 0.0, heading), covariance, 0.0, rate),
-            v == 0.0,
-        )
-        for time, place, v, heading, rate in zip(
-            way.time_s.tolist(), p_l, speed.tolist(), yaw.tolist(), turn.tolist(), strict=True
-        )
+@cache
+def junctions() -> Network:
+    """The tracks above, on level ground; the plan's origin is the begin of track 0, going east."""
+    before = laid(straight(300.0), yaw_rad=0.0)
+    middle = after(before, straight(600.0))
+    crossover = after(middle, _CROSSOVER)
+    east, north, _ = crossover.position_l(crossover.length_m).tolist()
+    lines = [
+        before,
+        middle,
+        after(before, _BRANCH),
+        after(middle, straight(300.0)),
+        between((east, north), (east + 240.0, north)),
+        between((east, north), (0.0, north)),
+        crossover,
     ]
-    return Driven(estimates, way, LEVEL.from_geodetic(flat)[:, :2], off_l, noise)
+    joins = (0, 2), (0, 4), (2, 6), (2, 12), (12, 8), (11, 8)
+    network = network_of(lines, joins, [*[FORWARDS] * 4, BOTH, *[FORWARDS] * 2], std_m=0.4)
+    partners = [PARTNER_LEFT, PARTNER_LEFT, 0, PARTNER_LEFT, PARTNER_RIGHT, PARTNER_LEFT, 0]
+    level = np.zeros(len(network.east), np.float32)
+    stops = LineStop("west", 0.0), LineStop("middle", 500.0), LineStop("east", 1150.0)
+    return replace(
+        network,
+        yaw_std_rad=level + np.float32(0.01),
+        height=level + np.float32(LEVEL.height_m),
+        grade_rad=level,
+        partner=np.repeat(partners, np.diff(network.starts)).astype(np.int8),
+        stops=(Stop("branch", 2, 200.0), Stop("meadow", 1, 250.0)),
+        lines=(RouteLine("1", "0", "west", "east", (0, 2, 6), 10.0, 1150.0, stops),),
+    )

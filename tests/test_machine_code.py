@@ -7,19 +7,47 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
+import networks
 import pytest
 
-from tramstream import machine_code
+from tramstream import keys, machine_code, scenario
+from tramstream.config import Map
+from tramstream.registry import make_processors
+from tramstream.simulation import Simulation
 
 WARM_START = """
+import sys
 import numba
 from numba.core import event
 from tramstream.processors.compile_kernels import compile_all
 with event.install_recorder("numba:compile") as recorder:
-    compile_all()
+    if sys.argv[1:]:
+        from test_machine_code import ride
+        ride(sys.argv[1])
+    else:
+        compile_all()
     numba.njit(lambda: 0)()  # what is compiled is seen
 print([each.data["dispatcher"].__name__ for _, each in recorder.buffer if each.is_start])
 """
+RIDE_S = 75.0
+"""Over the switch."""
+
+
+def ride(network: str) -> None:
+    """Go over a switch, through all that runs on a vehicle, with a map."""
+    path = networks.switch().path("stem", "branch")
+    simulation = Simulation(path, scenario.load("city"), 1, RIDE_S)
+    vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=network))
+    resampler, *others = sorted(make_processors(vehicle), key=lambda each: each.name != "resampler")
+    runs = set()
+    for sent in simulation.samples():
+        for made in resampler.step(sent) if sent.key in resampler.inputs else ():
+            for processor in others:
+                for said in processor.step(made) if made.key in processor.inputs else ():
+                    if said.key is keys.MAP_MATCH:
+                        runs.add(said.message.run)
+    assert {networks.switch().run("stem"), networks.switch().run("branch")} <= runs
 
 
 def interrupt(_: str) -> None:
@@ -31,6 +59,22 @@ def test_warm_start_does_not_compile() -> None:
     machine_code.ensure(print)
     done = subprocess.run(
         [sys.executable, "-c", WARM_START], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "['<lambda>']"
+
+
+@pytest.mark.live
+def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
+    """A network of several tracks, out of a file, and all processors."""
+    machine_code.ensure(print)
+    network = tmp_path / "switch.tracks"
+    networks.switch().network.save(network)
+    done = subprocess.run(
+        [sys.executable, "-c", WARM_START, str(network)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
     )
     assert done.stdout.strip() == "['<lambda>']"
 

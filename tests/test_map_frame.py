@@ -19,6 +19,8 @@ PLACE = LocalLevel.at_deg(50.08, 14.42, 250.0)
 FAR_M = 15e3
 HEIGHTS = (-400.0, 0.0, 400.0)
 """Of the vehicle above either origin."""
+TURN = 11
+"""Of `MapFrame.numbers`: what turns a direction of `l` into one of the plan."""
 AZIMUTHS = tuple(math.radians(each) for each in (10.0, 100.0, 190.0, 280.0))
 
 
@@ -36,7 +38,7 @@ def network_at(level: LocalLevel) -> Network:
 def linear(frame: MapFrame, p_l: np.ndarray) -> np.ndarray:
     """The plan as kernels compute it."""
     n = frame.numbers
-    return n[:4].reshape(2, 2) @ (p_l[:2] - n[4:6]) + n[6:8]
+    return n[:6].reshape(2, 3) @ (p_l - n[6:9]) + n[9:11]
 
 
 @pytest.mark.parametrize("height_m", HEIGHTS)
@@ -82,13 +84,13 @@ def test_rotation_is_that_of_the_meridians(azimuth: float) -> None:
     longitude = PLACE.longitude_rad
     expected = convergence_rad(network.level, longitude) - convergence_rad(level, longitude)
     # What both tangent planes tilt against each other turns a direction by their product.
-    assert frame.numbers[8] == pytest.approx(float(expected), abs=1e-5)
+    assert frame.numbers[TURN] == pytest.approx(float(expected), abs=1e-5)
 
 
 def test_equal_origins_turn_nothing() -> None:
     frame = MapFrame(network_at(PLACE), PLACE)
     frame.follow(0.0, 0.0, 0.0)
-    np.testing.assert_allclose(frame.numbers, [1, 0, 0, 1, 0, 0, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(frame.numbers, [1, 0, 0, 0, 1, *[0] * 7], atol=1e-9)
 
 
 @pytest.mark.parametrize("height_m", HEIGHTS)

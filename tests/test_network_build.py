@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from prague import Prague
 
 from tramstream import network
 from tramstream.errors import ConfigError
@@ -18,7 +19,7 @@ from tramstream.geodesy import LocalLevel
 from tramstream.network import BACKWARDS, FORWARDS, PARTNER_LEFT, PARTNER_RIGHT, Network
 from tramstream.network_build import Options, build
 from tramstream.network_report import Report
-from tramstream.osm import Extract, OsmWay, read
+from tramstream.osm import Extract, OsmWay
 
 LEVEL = LocalLevel.at_deg(50.08, 14.45, 44.5)
 Plan = list[tuple[float, float]]
@@ -247,32 +248,25 @@ def test_sound_map_has_only_its_ends_to_tell(double: tuple[Sheet, Network, Repor
 
 
 # Prague -------------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def prague(data_dir: Path) -> tuple[Network, Report]:
-    folder = data_dir / "maps" / "prague"
-    extract = read([folder / "prague_tram_ways_overpass.json"])
-    return build(extract, Options(tiles=(folder / "N50E014.hgt",)))
+@pytest.mark.realdata
+def test_prague_has_the_published_figures(prague: Prague) -> None:
+    net, told = prague.network, prague.told
+    counts = told["counts"]
+    assert len(net.node_id) == counts["nodes"] == 941
+    assert len(net.edges) == counts["edges"] == 1630
+    assert counts["segments"] == 21817
+    assert told["opposite_share"] == pytest.approx(0.945, abs=0.015)
+    assert told["track_km"] == pytest.approx(312.35, rel=0.003)
 
 
 @pytest.mark.realdata
-def test_prague_has_the_published_figures(prague: tuple[Network, Report]) -> None:
-    net, report = prague
-    assert len(net.node_id) == report.counts["nodes"] == 941
-    assert len(net.edges) == report.counts["edges"] == 1630
-    assert report.counts["segments"] == 21817
-    assert report.lengths["opposite_share"] == pytest.approx(0.945, abs=0.015)
-    assert report.lengths["track_km"] == pytest.approx(312.35, rel=0.003)
-
-
-@pytest.mark.realdata
-def test_curves_of_prague_are_as_good_as_they_say(prague: tuple[Network, Report]) -> None:
-    fit = prague[1].fit
-    assert 0.02 < fit["node_std_m"] < 0.2
+def test_curves_of_prague_are_as_good_as_they_say(prague: Prague) -> None:
+    net, told = prague.network, prague.told
+    assert 0.02 < told["node_std_m"] < 0.2
     for place in ("curves", "bends", "straights"):
-        assert fit[f"left_out_normalised_{place}"] == pytest.approx(1.0, abs=0.25)
-    assert fit["jump_p95_m"] < 0.2
-    assert fit["turn_median_rad"] < math.radians(0.5)
-    net = prague[0]
+        assert told[f"left_out_normalised_{place}"] == pytest.approx(1.0, abs=0.25)
+    assert told["jump_p95_m"] < 0.2
+    assert told["turn_median_rad"] < math.radians(0.5)
     assert np.all(np.isfinite(net.yaw_std_rad))
     # Prague's steepest track has 9 %; the terrain beside it has walls.
     assert np.nanpercentile(np.abs(np.tan(net.grade_rad)), 99.9) < 0.12
@@ -280,21 +274,19 @@ def test_curves_of_prague_are_as_good_as_they_say(prague: tuple[Network, Report]
 
 
 @pytest.mark.realdata
-def test_prague_loses_no_legal_way_on(prague: tuple[Network, Report]) -> None:
+def test_prague_loses_no_legal_way_on(prague: Prague) -> None:
     # Where an edge ends although another leaves, the map draws a corner of a right angle or the
     # like: a stub in a depot, and two rings that meet head on.
-    told = prague[1].of_kind("dead_end")
-    assert sum("angles that no tram takes" in finding.text for finding in told) <= 14
+    ends = [each["text"] for each in prague.of_kind("dead_end")]
+    assert sum("angles that no tram takes" in text for text in ends) <= 14
 
 
 @pytest.mark.realdata
-def test_prague_loads_at_once_and_is_small(prague: tuple[Network, Report], tmp_path: Path) -> None:
-    path = tmp_path / "prague.net"
-    prague[0].save(path)
-    assert path.stat().st_size < 5e6
+def test_prague_loads_at_once_and_is_small(prague: Prague) -> None:
+    assert prague.path.stat().st_size < 5e6
     taken = []
     for _ in range(3):
         began = time.perf_counter()
-        network.load(path)
+        network.load(prague.path)
         taken.append(time.perf_counter() - began)
     assert min(taken) < 0.3

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
-from small_network import small_network
+from networks import junctions as network
 
-from tramstream.network import Network
 from tramstream.network_detours import detour
 from tramstream.network_rides import (
     MapError,
@@ -24,11 +21,6 @@ from tramstream.network_rides import (
 CM = 0.01  # m
 BRANCHING = Route("branch", (0, 4), 10.0, 550.0, (0.0, 550.0))
 CROSSING = Route("crossover", (0, 2, 12, 8), 10.0, 1100.0, (0.0, 1100.0))
-
-
-@cache
-def network() -> Network:
-    return small_network()
 
 
 def laid(route: Route, seed: int = 1, error: MapError | None = None) -> NetworkRide:
@@ -51,7 +43,7 @@ def test_points_of_a_route_lie_on_its_runs_in_both_directions() -> None:
     np.testing.assert_allclose(plan_at(network(), there), plan_at(network(), back), atol=1e-9)
 
 
-@pytest.mark.parametrize("route", [BRANCHING, CROSSING, route_of(small_network().lines[0])])
+@pytest.mark.parametrize("route", [BRANCHING, CROSSING, route_of(network().lines[0])])
 def test_line_without_error_lies_on_the_map_and_knows_where(route: Route) -> None:
     ride = laid(route, error=MapError(0.0))
     assert ride.line.length_m == pytest.approx(route.length_m, abs=0.3)
@@ -89,11 +81,12 @@ def test_truth_moves_along_the_route_and_never_back() -> None:
 
 def test_choices_are_the_facing_switches_of_the_route() -> None:
     first, second = laid(CROSSING).choices
-    assert (first.route_m, first.node, first.run, first.taken) == (290.0, 1, 0, 2)
+    nodes = network().to_node
+    assert (first.route_m, first.node, first.run, first.taken) == (290.0, nodes[0], 0, 2)
     assert (first.others, second.others) == ((4,), (6,))
-    assert (second.route_m, second.node) == (890.0, 2)
+    assert (second.route_m, second.node) == (890.0, nodes[1])
     trailing = Route("trailing", (9, 13, 3), 0.0, 500.0, (0.0, 500.0))
-    assert [each.node for each in laid(trailing).choices] == [8]
+    assert [each.node for each in laid(trailing).choices] == [network().from_node[4]]
 
 
 def test_same_generator_gives_the_same_line() -> None:

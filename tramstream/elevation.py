@@ -32,6 +32,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import read_bytes
 from tramstream.network import Network
 
 Array = NDArray[np.float64]
@@ -99,10 +100,7 @@ def read(path: Path) -> Tile:
     name = re.fullmatch(r"([NS])(\d{2})([EW])(\d{3})", path.name.split(".")[0].upper())
     if name is None:
         raise ConfigError(f"{path}: a tile is called by its south-west corner, like N50E014.hgt")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    data = read_bytes(path)
     size = math.isqrt(len(data) // 2)
     if size not in _SIZES or len(data) != 2 * size * size:
         raise ConfigError(

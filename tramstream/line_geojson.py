@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from tramstream import line_fit
 from tramstream.errors import ConfigError
 from tramstream.geodesy import PRAGUE_GEOID_M, LocalLevel
+from tramstream.input_file import read_bytes
 from tramstream.line import Line, Relief, usual_cant
 from tramstream.line_fit import Course, fit
 from tramstream.profile import Profile
@@ -83,9 +84,7 @@ def read(source: str, geoid_m: float = PRAGUE_GEOID_M) -> Track:
     """
     name, _, chosen = source.partition("#")
     try:
-        document = json.loads(Path(name).read_bytes())
-    except OSError as error:
-        raise ConfigError(f"{name}: cannot be read ({error.strerror}); check the name") from error
+        document = json.loads(read_bytes(Path(name)))
     except ValueError as error:
         raise ConfigError(f"{name}: is no GeoJSON: {error}") from error
     return track(document, name, chosen, geoid_m)

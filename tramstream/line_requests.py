@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from msgspec import Struct, field
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import read_bytes
 from tramstream.osm import Extract, OsmRoute
 from tramstream.strict import decode_toml
 
@@ -53,10 +54,7 @@ def read(path: Path) -> list[LineRequest]:
     ConfigError
         One sentence with the file and what is wrong with it.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    data = read_bytes(path)
     found = of_toml(data, str(path)) if path.suffix == ".toml" else of_geojson(data, str(path))
     if not found:
         raise ConfigError(f"{path}: has no lines; see docs/map.md, Lines and stops")

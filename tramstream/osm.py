@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import read_bytes
 
 RAILS = ("tram", "light_rail")
 """Values of tag `railway` that make a way a track."""
@@ -148,9 +149,7 @@ def read(paths: Sequence[Path]) -> Extract:
 
 def _read_json(path: Path, extract: Extract) -> None:
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        document = json.loads(read_bytes(path))
     except ValueError as error:
         raise ConfigError(f"{path}: is no JSON: {error}") from error
     elements = document.get("elements") if isinstance(document, dict) else None

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import read_bytes
 
 Array = NDArray[np.float64]
 
@@ -66,11 +67,7 @@ def read(path: Path) -> Trace:
     ConfigError
         One sentence with the file and what is wrong with it.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    return parse(data, str(path))
+    return parse(read_bytes(path), str(path))
 
 
 def parse(data: bytes, name: str) -> Trace:

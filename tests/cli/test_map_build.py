@@ -6,11 +6,11 @@ import json
 import math
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from prague import Prague
 from typer.testing import CliRunner, Result
 
 from tramstream import network
@@ -122,19 +122,11 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 @pytest.mark.realdata
-def test_prague_with_everything(data_dir: Path, tmp_path: Path) -> None:
-    folder = data_dir / "maps" / "prague"
-    out = tmp_path / "prague.net"
-    began_s = time.process_time()
-    result = build(
-        *sorted(folder.glob("*overpass.json")),
-        *("-o", out, "--elevation", folder / "N50E014.hgt"),
-        *("--lines", folder / "lines_7_20.geojson", "--json"),
-    )
-    assert time.process_time() - began_s < 20
-    told = json.loads(result.stdout)
-    counts = told["counts"]
+def test_prague_with_everything(prague: Prague) -> None:
+    assert prague.processor_s < 20
+    counts = prague.told["counts"]
     assert (counts["nodes"], counts["edges"], counts["segments"]) == (941, 1630, 21817)
     assert counts["lines"] == 4
     assert counts["stops"] > 600
-    assert told["bytes"] < 5e6
+    assert prague.of_kind("line") == []
+    assert prague.told["bytes"] == prague.path.stat().st_size < 5e6

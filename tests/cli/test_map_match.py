@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from google.protobuf.message import Message
-from handmade_network import town
 from looking import START_NS, VEHICLE, write_fixes
+from networks import town
 
 from tramstream import keys
 from tramstream.cli.map_match import describe, match

@@ -98,3 +98,18 @@ def test_model_without_a_smoother_is_refused(ride: Path, tmp_path: Path) -> None
     with pytest.raises(ConfigError, match="kaspar2023 has no smoother"):
         tramstream("reprocess", ride, "-o", tmp_path / "o.mcap", "--smooth", "--config", config)
     assert not list(tmp_path.glob("o.mcap*"))
+
+
+def test_map_that_is_not_there_is_told(ride: Path, tmp_path: Path) -> None:
+    """The vehicle's file is seldom where records are looked at."""
+    config = tmp_path / "vehicle.toml"
+    config.write_text(
+        'vehicle = "simulated"\n[imu]\ndevice = "none"\n[map]\nnetwork = "no.tracks"\n'
+    )
+    out = tmp_path / "o.mcap"
+    result = tramstream("reprocess", ride, "-o", out, "--config", config, "--json")
+    (sentence,) = result.stderr.splitlines()
+    assert sentence.startswith(f"$.map.network: {tmp_path / 'no.tracks'}: cannot be read")
+    assert "went on without the map" in sentence
+    assert json.loads(result.stdout)["outputs"] > 0
+    assert keys.EST_STATE.path in by_path(out)

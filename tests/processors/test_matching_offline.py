@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import math
 
+import estimates
 import networks
 import numpy as np
 import pytest
-from networks import (
-    FILTER_LEVEL,
-    Driven,
-    Made,
-    Noise,
-    course,
-    driven,
-    gauss_markov,
-    laid,
-    steady,
-    straight,
-)
+from estimates import FILTER_LEVEL, Driven, Noise, course, driven, gauss_markov, steady
+from networks import Made, laid, straight
 
 from tramstream.clock import S
 from tramstream.config import Map
@@ -49,15 +40,15 @@ def runs_of(path: Path) -> list[int]:
 
 
 def trace_of(
-    line: Line, way: networks.Course, std_m: float, seed: int, every_s: float = 1.0
+    line: Line, way: estimates.Course, std_m: float, seed: int, every_s: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Plain fixes along a line: stamps, latitude and longitude, deviations."""
     rng = np.random.default_rng(seed)
-    rows = slice(None, None, round(every_s / networks.STEP_S))
+    rows = slice(None, None, round(every_s / estimates.STEP_S))
     time, s = way.time_s[rows], way.s[rows]
     p_l = line.position_l(s)
     p_l[:, :2] += np.column_stack([gauss_markov(rng, time, std_m, 60.0) for _ in range(2)])
-    stamps = (networks.BEGIN_NS + np.round(time * S)).astype(np.int64)
+    stamps = (estimates.BEGIN_NS + np.round(time * S)).astype(np.int64)
     return stamps, line.level.to_geodetic(p_l)[:, :2], np.full(len(time), std_m)
 
 
@@ -122,11 +113,11 @@ def test_path_of_a_ride_without_a_heading_at_first_begins_where_the_ride_begins(
     case = networks.double()
     for name in ("right", "left"):
         drive = driven(case.lines[name], course((0.0, 8.0), (300.0, 45.0), start_m=100.0), seed=1)
-        drive = drive.altered(0, round(9.0 / networks.STEP_S), mode=HEADING_UNKNOWN)
+        drive = drive.altered(0, round(9.0 / estimates.STEP_S), mode=HEADING_UNKNOWN)
         path = path_of(case, drive)
-        moving = [each.run for each in path.places[round(9.5 / networks.STEP_S) :]]
+        moving = [each.run for each in path.places[round(9.5 / estimates.STEP_S) :]]
         assert {*moving} == {case.run(name)}
-        begin = {each.run >> 1 for each in path.places[: round(8.0 / networks.STEP_S)]}
+        begin = {each.run >> 1 for each in path.places[: round(8.0 / estimates.STEP_S)]}
         assert begin == {case.run(name) >> 1}, "known from behind"
 
 

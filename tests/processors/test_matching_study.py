@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_network import small_network
+from networks import junctions as network
 
 from tramstream import keys
 from tramstream.errors import ConfigError
-from tramstream.network import Array, Network
+from tramstream.network import Array
 from tramstream.network_rides import MapError, NetworkRide, Route, Spots, lay
 from tramstream.processor import Sample
 from tramstream.processors import matching_figures as summed
@@ -40,11 +40,6 @@ from tramstream.speed_plan import Limits
 
 MAIN = Route("main", (0, 2, 6), 10.0, 1150.0, (0.0, 1150.0))
 LAST_M = 1150.0
-
-
-@cache
-def network() -> Network:
-    return small_network()
 
 
 @cache
@@ -116,7 +111,7 @@ def passed(run_at: dict[int, tuple[int, float]], beyond_m: float = 30.0) -> list
     found = judge.ways(
         main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, beyond_m
     )
-    assert [each.choice.node for each in found] == [1, 2]
+    assert [each.choice.node for each in found] == network().to_node[:2].tolist()
     return [each.right for each in found]
 
 
@@ -141,7 +136,7 @@ def test_switch_is_left_out_where_the_ride_ends_just_beyond() -> None:
     route_m = np.arange(0.0, 900.0, 1.0)
     said = main_ride().spots_at(route_m)
     found = judge.ways(main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, 30.0)
-    assert [each.choice.node for each in found] == [1]
+    assert [each.choice.node for each in found] == network().to_node[:1].tolist()
 
 
 def test_way_is_asked_where_rails_have_parted_if_that_is_farther() -> None:

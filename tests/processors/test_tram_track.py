@@ -33,7 +33,6 @@ from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.scenario import Tunnel
 
-SEEDS = (1, 2)
 STD_M = 0.05
 """Of the map of these rides; its geometry is exact."""
 CITY = {
@@ -271,15 +270,13 @@ def without_map(seed: int) -> Output:
     return step(LocalisationFilter(ride.simulation.vehicle), ride.frames)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_filter_with_the_map_is_better_than_without(seed: int, short_map: Path) -> None:
-    ride = short(seed)
-    said = mapped(seed, short_map)
+def test_filter_with_the_map_is_better_than_without(short_map: Path) -> None:
+    ride, said = short(1), mapped(1, short_map)
     errors = {}
-    for name, output in (("with", said), ("without", without_map(seed))):
+    for name, output in (("with", said), ("without", without_map(1))):
         along, across = off(ride, moving(output.states))
         errors[name] = np.quantile(np.hypot(along, across), 0.9), np.sqrt(np.mean(across**2))
-        print(f"seed {seed} {name}: P90 {errors[name][0]:.2f} m, across {errors[name][1]:.3f} m")
+        print(f"{name}: P90 {errors[name][0]:.2f} m, across {errors[name][1]:.3f} m")
     assert errors["with"][0] < errors["without"][0]
     assert errors["with"][1] < 0.15 < errors["without"][1]
 
@@ -336,7 +333,7 @@ def test_double_track_is_told_by_the_direction_of_travel(rear: bool, tmp_path: P
         (*networks.left_of(line, networks.PARALLEL_M), 0.0),
     )
     network = network_of([left, line], rules=[BACKWARDS, FORWARDS])
-    said = step(with_map(ride, saved(network, tmp_path / "double.net")), ride.frames)
+    said = step(with_map(ride, saved(network, tmp_path / "double.net")), ride.frames[:6000])
     begun = [each.mode == TRACKING for each in said.states].index(True)
     later = said.matches[begun + 500 :]
     assert {each.run for each in later} == {2}
@@ -353,7 +350,7 @@ def test_lost_frames_are_no_worse_with_the_map(gap_s: float, short_map: Path) ->
     """Nothing arrives for a while; what the matcher knew of the time before is not held on to."""
     ride = short(1)
     begin_s = time_s(ride.frames[0].stamp_ns) + 35.0
-    frames = ride.between(-1.0, begin_s) + ride.between(begin_s + gap_s, math.inf)
+    frames = ride.between(-1.0, begin_s) + ride.between(begin_s + gap_s, begin_s + gap_s + 20.0)
     said = step(with_map(ride, short_map), frames)
     plain = step(LocalisationFilter(ride.simulation.vehicle), frames)
     worst = []
@@ -392,7 +389,7 @@ def test_model_of_the_work_takes_the_map_too(short_map: Path) -> None:
     assert {each.run for each in said.matches[-1000:]} == {0}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 6])
+@pytest.mark.parametrize("seed", [1, 6])
 def test_flawless_ride_on_an_exact_map_is_never_off_it(seed: int, short_map: Path) -> None:
     """From the first metre with a heading on, though that heading is 3° off at first."""
     said = step(with_map(short(seed), short_map), short(seed).frames[:3500])
@@ -411,7 +408,7 @@ UNDERGROUND = BEFORE + "1250 R60/70 100 |"
 
 
 @cache
-def underground(seed: int) -> tuple[Ride, float, float]:
+def underground() -> tuple[Ride, float, float]:
     """A ride, where its tunnel begins, and where the curve behind it ends."""
     line = laid(UNDERGROUND)
     lengths = [each.length_m for each in line.segments]
@@ -419,7 +416,7 @@ def underground(seed: int) -> tuple[Ride, float, float]:
     begin_m, end_m = float(line.starts_m[straight_]) + 10.0, float(line.starts_m[straight_ + 4])
     tunnel = Tunnel(start_m=begin_m, end_m=end_m + 60.0)
     chosen = altered(reference(), driver=CITY, events=(tunnel,))
-    return ridden(line, chosen, seed), begin_m, end_m
+    return ridden(line, chosen, 2), begin_m, end_m
 
 
 def surveyed(network: Network, std_m: float, seed: int) -> Network:
@@ -441,41 +438,29 @@ def surveyed(network: Network, std_m: float, seed: int) -> Network:
     )
 
 
-def test_tunnel_with_a_map_that_is_off_by_30_cm_ends_as_well(tmp_path: Path) -> None:
-    seed = 2
-    ride, begin_m, curve_m = underground(seed)
-    network = surveyed(network_of([laid(UNDERGROUND)]), 0.3, seed)
-    said = step(with_map(ride, saved(network, tmp_path / "street.net"), 0.3), ride.frames)
-    s, (along, _) = way_m(ride, said.states), off(ride, said.states)
-    end, behind = np.searchsorted(s, [begin_m + TUNNEL_M, curve_m + 5.0]).tolist()
-    print(
-        f"seed {seed}: along {along[end]:.2f} m at the end, {along[behind]:.2f} m behind the curve"
-    )
-    assert abs(along[end]) < 3.0
-    assert abs(along[behind]) < 2.0
-
-
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("off_m", "behind_m"), [(0.0, 1.0), (0.3, 2.0)])
 def test_tunnel_of_120_s_ends_within_3_m_and_the_next_curve_corrects_it(
-    seed: int, tmp_path: Path
+    off_m: float, behind_m: float, tmp_path: Path
 ) -> None:
-    ride, begin_m, curve_m = underground(seed)
-    path = saved(network_of([laid(UNDERGROUND)]), tmp_path / "tunnel.net")
-    said = step(with_map(ride, path), ride.frames)
+    ride, begin_m, curve_m = underground()
+    network = network_of([laid(UNDERGROUND)])
+    chosen = surveyed(network, off_m, seed=2)
+    path = saved(chosen, tmp_path / "tunnel.net")
+    said = step(with_map(ride, path, max(off_m, STD_M)), ride.frames)
     s, (along, across) = way_m(ride, said.states), off(ride, said.states)
 
     def within(start_m: float, end_m: float) -> slice:
         return slice(*np.searchsorted(s, [start_m, end_m]).tolist())
 
     dark = within(begin_m, begin_m + TUNNEL_M)
-    behind = within(curve_m + 2.0, curve_m + 40.0)
+    behind = within(curve_m + 5.0, curve_m + 40.0)
     print(
-        f"seed {seed}: along {along[dark][-1]:.2f} m after {TUNNEL_M:.0f} m, "
+        f"map off by {off_m} m: along {along[dark][-1]:.2f} m after {TUNNEL_M:.0f} m, "
         f"{np.abs(along[behind]).max():.2f} m behind the curve"
     )
     assert np.abs(along[dark]).max() < 3.0
-    assert np.abs(across[dark]).max() < 0.5
-    assert np.abs(along[behind]).max() < 1.0
+    assert np.abs(across[dark]).max() < 0.5 + 3.0 * off_m
+    assert np.abs(along[behind]).max() < behind_m
     claimed = np.array([each.chainage_std_m for each in said.matches])[behind]
     assert (np.abs(along[behind]) < 4.0 * claimed).all()
 
@@ -615,11 +600,8 @@ def test_same_ride_twice_gives_the_same_bytes(short_map: Path) -> None:
 
 
 # Smoother -----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("seed", SEEDS)
-def test_smoother_takes_the_map_and_is_not_worse_than_the_filter(
-    seed: int, short_map: Path
-) -> None:
-    ride, said = short(seed), mapped(seed, short_map)
+def test_smoother_takes_the_map_and_is_not_worse_than_the_filter(short_map: Path) -> None:
+    ride, said = short(1), mapped(1, short_map)
     smoothed = [each.message for each in said.processor.smoothed()]
     begin_ns = moving(said.states)[0].stamp_ns
     errors = {}
@@ -627,7 +609,7 @@ def test_smoother_takes_the_map_and_is_not_worse_than_the_filter(
         chosen = [each for each in states if each.stamp_ns > begin_ns and each.mode == TRACKING]
         along, across = off(ride, chosen)
         errors[name] = np.sqrt(np.mean(along**2)), np.sqrt(np.mean(across**2))
-        print(f"seed {seed} {name}: along {errors[name][0]:.3f} m, across {errors[name][1]:.3f} m")
+        print(f"{name}: along {errors[name][0]:.3f} m, across {errors[name][1]:.3f} m")
     assert errors["smoother"][0] < errors["filter"][0] * 1.05
     assert errors["smoother"][1] < max(errors["filter"][1] * 1.05, 0.05)
 
@@ -641,12 +623,15 @@ def test_tracing_does_not_change_what_the_filter_says(short_map: Path) -> None:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_grade_of_the_map_is_taken_where_it_knows_one(known: bool, tmp_path: Path) -> None:
-    network = network_of([laid(SHORT)])
+def test_grade_of_the_map_is_taken_where_it_knows_one(
+    known: bool, short_map: Path, tmp_path: Path
+) -> None:
+    said = mapped(1, short_map)
     if known:
+        network = network_of([laid(SHORT)])
         level = np.zeros(len(network.east), np.float32)
         network = replace(network, grade_rad=level, grade_std_rad=level + np.float32(0.003))
-    said = step(with_map(short(1), saved(network, tmp_path / "graded.net")), short(1).frames)
+        said = step(with_map(short(1), saved(network, tmp_path / "graded.net")), short(1).frames)
     seen = {each.measurement for state in said.states for each in state.innovations}
     assert {"track_across", "track_heading"} <= seen
     assert ("track_grade" in seen) == known
