@@ -75,10 +75,10 @@ same; the vehicle's origin before the point that follows the rails."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
-HEADING_SHARE = 2.0
+HEADING_SHARE = 1.2
 """Deviation of a heading over that of the place across by its correlation length: between 1 and
 2.5, as that length is ℓ of exp(−d²/2ℓ²) or its integral."""
-HEADING_LENGTH = 0.25
+HEADING_LENGTH = 0.15
 """Correlation length of a heading, over that of the place across: a derivative forgets faster."""
 DOUBT = 4.0
 """Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
