@@ -82,7 +82,8 @@ HEADING_LENGTH = 0.15
 """Correlation length of a heading, over that of the place across: a derivative forgets faster."""
 DOUBT = 4.0
 """Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
-streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong."""
+streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong. While
+its heading is not known it does not know which side of it the antenna is, and says so amply."""
 WEIGHED_M = 1.0
 """Between two weighings."""
 SLACK_M = 0.25
@@ -376,7 +377,8 @@ def seed(M: Array, rails: Rails, z: Array, c: Array, run: int, s: float, prior: 
     C = h[P : P + 9].reshape((3, 3))
     C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
     C[2, 2] = z[P_YAW]
-    C *= DOUBT
+    if z[HEADED] != 0.0:
+        C *= DOUBT
     cost, _ = on_rails(h, rails, z, c, 1.0)
     kinds = 2.0 if z[HEADED] != 0.0 else 1.0
     h[WEIGHT] = math.log(prior) - 0.5 * (cost + kinds * math.log(2.0 * math.pi))
