@@ -26,7 +26,7 @@ import math
 
 from tramstream.kernels import Array, compiled
 from tramstream.localisation import COVARIANCE, YAW_RATE
-from tramstream.rails import Rails, beside, sample_at
+from tramstream.rails import Rails, beside, place, sample_at
 
 MOST = 48
 """Hypotheses at a time."""
@@ -68,10 +68,10 @@ and duration of this step; flags; covariance of place and heading."""
     A_EE, A_EN, A_EU, A_NE, A_NN, A_NU, L_EAST, L_NORTH, L_UP, PLAN_EAST, PLAN_NORTH, ROTATION,
 ) = range(12)  # fmt: skip
 """plan = A (l − l₀) + plan₀, and the angle that A turns by: `tramstream.map_frame`."""
-FORGET_S, STD_M, CORRELATION_M, PIVOT_M = range(4)
-CONSTANTS = 4
+FORGET_S, STD_M, CORRELATION_M, PIVOT_M, LEVER_M = range(5)
 """Time in which the filter's error forgets itself; σ_map; length over which the map's error is the
-same; the vehicle's origin before the point that follows the rails."""
+same; the vehicle's origin before the point that follows the rails; how far the antenna is from the origin,
+which the estimates' covariance holds in all directions while the heading is not known."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
@@ -80,10 +80,9 @@ HEADING_SHARE = 1.2
 2.5, as that length is ℓ of exp(−d²/2ℓ²) or its integral."""
 HEADING_LENGTH = 0.15
 """Correlation length of a heading, over that of the place across: a derivative forgets faster."""
-DOUBT = 4.0
+DOUBT = 3.0
 """Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
-streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong. While
-its heading is not known it does not know which side of it the antenna is, and says so amply."""
+streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong."""
 WEIGHED_M = 1.0
 """Between two weighings."""
 SLACK_M = 0.25
@@ -377,8 +376,14 @@ def seed(M: Array, rails: Rails, z: Array, c: Array, run: int, s: float, prior: 
     C = h[P : P + 9].reshape((3, 3))
     C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
     C[2, 2] = z[P_YAW]
-    if z[HEADED] != 0.0:
-        C *= DOUBT
+    if z[HEADED] == 0.0:  # the antenna is before or behind the vehicle, so not beside the track
+        _, _, yaw, _ = place(rails, run, s)
+        n_east, n_north, spread = -math.sin(yaw), math.cos(yaw), c[LEVER_M] ** 2
+        C[0, 0] -= spread * n_east * n_east
+        C[1, 1] -= spread * n_north * n_north
+        C[0, 1] -= spread * n_east * n_north
+        C[1, 0] = C[0, 1]
+    C *= DOUBT
     cost, _ = on_rails(h, rails, z, c, 1.0)
     kinds = 2.0 if z[HEADED] != 0.0 else 1.0
     h[WEIGHT] = math.log(prior) - 0.5 * (cost + kinds * math.log(2.0 * math.pi))
