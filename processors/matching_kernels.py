@@ -70,8 +70,8 @@ and duration of this step; flags; covariance of place and heading."""
 """plan = A (l − l₀) + plan₀, and the angle that A turns by: `tramstream.map_frame`."""
 FORGET_S, STD_M, CORRELATION_M, PIVOT_M, LEVER_M = range(5)
 """Time in which the filter's error forgets itself; σ_map; length over which the map's error is the
-same; the vehicle's origin before the point that follows the rails; how far the antenna is from the origin,
-which the estimates' covariance holds in all directions while the heading is not known."""
+same; the vehicle's origin before the point that follows the rails; how far the antenna is from the
+origin, which the covariance holds in all directions while the heading is not known."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
