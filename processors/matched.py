@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import cast
 
@@ -52,7 +53,8 @@ class Matched:
         except ConfigError as error:
             self.complaints.append(f"$.map.network: {error}; localisation goes on without the map")
             return
-        self._matcher = Matcher(network, vehicle.map, pivot_m=vehicle.ekf.pivot_m)
+        lever_m = math.hypot(*vehicle.gnss.lever_arm_m[:2]) if vehicle.gnss is not None else 0.0
+        self._matcher = Matcher(network, vehicle.map, pivot_m=vehicle.ekf.pivot_m, lever_m=lever_m)
         self._references = references(network)
 
     def take(self, estimate: Estimate, level: LocalLevel) -> tuple[MapMatch, OnTrack | None] | None:

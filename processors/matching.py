@@ -82,6 +82,8 @@ class Matcher:
         Time in which errors of the estimates forget themselves.
     pivot_m : float
         The vehicle's origin before the point that follows the rails.
+    lever_m : float
+        How far the antenna is from the vehicle's origin, in plan.
     corrects : bool
         Whether `Match.on_track` goes back into the filter that the estimates are of.
     """
@@ -92,6 +94,7 @@ class Matcher:
         settings: Map,
         forget_s: float = FORGET_S,
         pivot_m: float = 0.0,
+        lever_m: float = 0.0,
         corrects: bool = True,
     ) -> None:
         self.network = network
@@ -101,7 +104,9 @@ class Matcher:
         self._corrects = corrects
         self.memory = np.zeros(kernels.MEMORY)
         self._begin()
-        self._constants = np.array([forget_s, settings.std_m, settings.correlation_m, pivot_m])
+        self._constants = np.array(
+            [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
+        )
         self._motion = np.zeros(kernels.MOTION)
         self._out = np.zeros(steps.OUT)
         self._frame: MapFrame | None = None

@@ -78,6 +78,7 @@ class Figures(NamedTuple):
     route: str
     seed: int
     length_m: float
+    """Of the way gone since the first answer."""
     duration_s: float
     starting_s: float
     """From the filter's first position until the first answer."""

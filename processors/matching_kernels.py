@@ -26,7 +26,7 @@ import math
 
 from tramstream.kernels import Array, compiled
 from tramstream.localisation import COVARIANCE, YAW_RATE
-from tramstream.rails import Rails, beside, sample_at
+from tramstream.rails import Rails, beside, place, sample_at
 
 MOST = 48
 """Hypotheses at a time."""
@@ -68,19 +68,19 @@ and duration of this step; flags; covariance of place and heading."""
     A_EE, A_EN, A_EU, A_NE, A_NN, A_NU, L_EAST, L_NORTH, L_UP, PLAN_EAST, PLAN_NORTH, ROTATION,
 ) = range(12)  # fmt: skip
 """plan = A (l − l₀) + plan₀, and the angle that A turns by: `tramstream.map_frame`."""
-FORGET_S, STD_M, CORRELATION_M, PIVOT_M = range(4)
-CONSTANTS = 4
+FORGET_S, STD_M, CORRELATION_M, PIVOT_M, LEVER_M = range(5)
 """Time in which the filter's error forgets itself; σ_map; length over which the map's error is the
-same; the vehicle's origin before the point that follows the rails."""
+same; the vehicle's origin before the point that follows the rails; how far the antenna is from the
+origin, which the covariance holds in all directions while the heading is not known."""
 
 REVERSED_M = 0.5
 """A vehicle that has gone so far against its direction of travel has changed it."""
-HEADING_SHARE = 2.0
+HEADING_SHARE = 1.2
 """Deviation of a heading over that of the place across by its correlation length: between 1 and
 2.5, as that length is ℓ of exp(−d²/2ℓ²) or its integral."""
-HEADING_LENGTH = 0.25
+HEADING_LENGTH = 0.15
 """Correlation length of a heading, over that of the place across: a derivative forgets faster."""
-DOUBT = 4.0
+DOUBT = 3.0
 """Variances of a filter that is not on the rails are taken for so much more: errors of fixes in
 streets have heavy tails and last, and no filter knows by itself that all its fixes are wrong."""
 WEIGHED_M = 1.0
@@ -270,27 +270,33 @@ def heading_noise(share: float) -> float:
 
 
 @compiled
-def on_rails(
-    h: Array, rails: Rails, z: Array, c: Array, share: float
-) -> tuple[float, float, float]:
-    """Take that a hypothesis is on its rails; gives −2 ln of the likelihood, and the two S.
+def on_rails(h: Array, rails: Rails, z: Array, c: Array, share: float) -> tuple[float, float]:
+    """Take that a hypothesis is on its rails; gives −2 ln of the likelihood, but for constants.
 
-    `share` is how much of a correlation length's information this is.
+    Of that, the normalising part comes apart as well. Noise of the map that is the same over a
+    correlation length counts once in it, however many measurements share it.
+
+    Parameters
+    ----------
+    share : float
+        How much of a correlation length's information this is.
     """
     run = int(h[RUN])
     s, across, yaw, k = beside(rails, run, h[CHAINAGE], h[Q_EAST], h[Q_NORTH])
     var_across, var_yaw = variances(rails, c, run, s)
+    noise = var_across / share
     cos, sin = math.cos(yaw), math.sin(yaw)
-    distance, S = _scalar(h, -sin, cos, 0.0, -across, var_across / share)
-    cost = min(distance, WEIGHS_MOST) + math.log(S)
-    S_yaw = 1.0
+    distance, S = _scalar(h, -sin, cos, 0.0, -across, noise)
+    norm = math.log(S / noise) + share * math.log(var_across)
+    cost = min(distance, WEIGHS_MOST)
     if z[HEADED] != 0.0:
         s, across, yaw, k = beside(rails, run, s, h[Q_EAST], h[Q_NORTH])
         bend = k / max(1.0 - k * across, 0.2)
         y = wrapped(yaw - z[YAW] - h[OFFSET])
-        H0, H1 = -bend * math.cos(yaw), -bend * math.sin(yaw)
-        distance, S_yaw = _scalar(h, H0, H1, 1.0, y, var_yaw * heading_noise(share))
-        cost += min(distance, WEIGHS_MOST) + math.log(S_yaw)
+        noise = var_yaw * heading_noise(share)
+        distance, S = _scalar(h, -bend * math.cos(yaw), -bend * math.sin(yaw), 1.0, y, noise)
+        norm += math.log(S / noise) + math.log(var_yaw) / heading_noise(share)
+        cost += min(distance, WEIGHS_MOST)
         s, across, yaw, k = beside(rails, run, s, h[Q_EAST], h[Q_NORTH])
     h[CHAINAGE] = s
     length = rails.length_m[run >> 1]
@@ -299,7 +305,7 @@ def on_rails(
     if over > SLACK_M:
         C = h[P : P + 9].reshape((3, 3))
         cost += over * over * share / (1.0 + min(C[0, 0] + C[1, 1], 25.0) / 4.0)
-    return cost, S, S_yaw
+    return cost + norm, norm
 
 
 @compiled
@@ -308,13 +314,13 @@ def weigh(M: Array, rails: Rails, z: Array, c: Array) -> None:
     share = min(M[WAY] / c[CORRELATION_M], 1.0)
     M[WAY] = 0.0
     best, off = -math.inf, 0.0
+    kinds = 2.0 if z[HEADED] != 0.0 else 1.0
     for k in range(int(M[COUNT])):
         h = row(M, k)
-        cost, S, S_yaw = on_rails(h, rails, z, c, share)
+        cost, norm = on_rails(h, rails, z, c, share)
         if h[WEIGHT] > best:
             best = h[WEIGHT]
-            kinds = 2.0 if z[HEADED] != 0.0 else 1.0
-            off = -0.5 * (kinds * OFF_GATE * share + math.log(S) + math.log(S_yaw))
+            off = -0.5 * (kinds * OFF_GATE * share + norm)
         h[WEIGHT] -= 0.5 * cost
     M[OFF] += off
 
@@ -370,8 +376,15 @@ def seed(M: Array, rails: Rails, z: Array, c: Array, run: int, s: float, prior: 
     C = h[P : P + 9].reshape((3, 3))
     C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
     C[2, 2] = z[P_YAW]
+    if z[HEADED] == 0.0:  # the antenna is before or behind the vehicle, so not beside the track
+        _, _, yaw, _ = place(rails, run, s)
+        n_east, n_north, spread = -math.sin(yaw), math.cos(yaw), c[LEVER_M] ** 2
+        C[0, 0] -= spread * n_east * n_east
+        C[1, 1] -= spread * n_north * n_north
+        C[0, 1] -= spread * n_east * n_north
+        C[1, 0] = C[0, 1]
     C *= DOUBT
-    cost, _, _ = on_rails(h, rails, z, c, 1.0)
+    cost, _ = on_rails(h, rails, z, c, 1.0)
     kinds = 2.0 if z[HEADED] != 0.0 else 1.0
     h[WEIGHT] = math.log(prior) - 0.5 * (cost + kinds * math.log(2.0 * math.pi))
     M[COUNT] = k + 1

@@ -35,7 +35,6 @@ from tramstream.processors.matching_kernels import (
     YAW,
     P,
     carry,
-    heading_noise,
     read_motion,
     renew,
     row,
@@ -52,6 +51,9 @@ HORIZON_STDS = 3.0
 CERTAIN = 0.995
 """A filter is put onto rails that are so likely."""
 ALTERNATIVES = 4
+CURVES = 3.0
+"""Variances of a map's headings are so much larger to a filter: curves are where maps are wrong the
+most, and what one of them tells of the place along the track is believed for long."""
 GRADE_CORRELATION_M = 100.0
 """A pixel of the terrain model."""
 
@@ -250,7 +252,7 @@ def _certainly(
     out[BEND] = k / max(1.0 - k * across, 0.2)
     var_across, var_yaw = variances(rails, c, run, s)
     share = WEIGHED_M / c[CORRELATION_M]
-    out[ACROSS_VARIANCE], out[YAW_VARIANCE] = var_across / share, var_yaw * heading_noise(share)
+    out[ACROSS_VARIANCE], out[YAW_VARIANCE] = var_across / share, CURVES * var_yaw / share
     j = sample_at(rails, run, s)
     grade = float(rails.grade[j])
     out[GRADE] = grade if run & 1 == 0 else -grade

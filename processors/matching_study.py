@@ -249,7 +249,7 @@ def figures(
     return Figures(
         route=case.route,
         seed=case.seed,
-        length_m=ride.route.length_m,
+        length_m=float(route_m[-1] - route_m[0]),
         duration_s=float(simulation.duration_s),
         starting_s=float(points.time_s[0] - whole.time_s[0]),
         step_us=step_us,

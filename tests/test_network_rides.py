@@ -105,6 +105,7 @@ def test_detours_go_where_trams_may_and_take_other_ways_than_the_line() -> None:
         assert set(route.runs) <= legal
         for run, after in zip(route.runs, route.runs[1:], strict=False):
             assert after in network().following_of(run)
+        assert route.begin_m >= 10.0
         assert route.stops_m[0] == 0.0
         assert route.stops_m[-1] == route.length_m
         assert np.all(np.diff(route.stops_m) >= 60.0)

@@ -28,7 +28,8 @@ ONWARD_M = 500.0
 BEGINS_SHARE = 0.7
 """Of the line's runs: a detour begins on one of the first."""
 END_M = 20.0
-"""Of the last run: a detour ends before the node, not on it."""
+"""Of the first and the last run: a detour begins beyond the node and ends before it. On it an
+answer on the run before would be as good, which is not on the route."""
 STOPS_APART_M = 60.0
 _TRIES = 50
 
@@ -59,11 +60,12 @@ def detour(
     """
     onward_m = _onward_m(network)
     shortest_m = min(SHORTEST_M, length_m / 2)
+    begins = _begins(network, line)
     for _ in range(_TRIES):
-        first = int(rng.integers(max(int(BEGINS_SHARE * len(line.runs)), 1)))
+        first = int(rng.choice(begins))
         runs = _walk(network, line.runs[first:], onward_m, rng, length_m)
-        begin_m = line.begin_m if first == 0 else 0.0
         lengths = network.length_m[np.array(runs) >> 1]
+        begin_m = line.begin_m if first == 0 else min(END_M, float(lengths[0]) / 2)
         whole_m = float(np.sum(lengths)) - begin_m - min(END_M, float(lengths[-1]) / 2)
         left = tuple(runs) != line.runs[first : first + len(runs)]
         if left and whole_m >= shortest_m:
@@ -73,6 +75,13 @@ def detour(
         f"no detour of {shortest_m:.0f} m leaves line {line.line}/{line.direction}; has the "
         "network another legal way?"
     )
+
+
+def _begins(network: Network, line: RouteLine) -> list[int]:
+    """On which of a line's runs a detour may begin: long ones among the first, or its first."""
+    lengths = network.length_m[np.array(line.runs) >> 1]
+    among = lengths[: max(int(BEGINS_SHARE * len(line.runs)), 1)]
+    return np.flatnonzero(among >= 2 * END_M).tolist() or [0]
 
 
 def _walk(
