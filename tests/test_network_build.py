@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -152,6 +151,14 @@ def test_network_survives_its_file(double: tuple[Sheet, Network, Report], tmp_pa
     assert found.node_std_m == net.node_std_m
 
 
+def test_one_network_is_one_file(double: tuple[Sheet, Network, Report], tmp_path: Path) -> None:
+    """Whatever the clock says: a file can be compared with `cmp`."""
+    _, net, _ = double
+    net.save(tmp_path / "first")
+    network.load(tmp_path / "first").save(tmp_path / "second")
+    assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
+
+
 def test_curve_goes_on_over_a_node_without_a_step() -> None:
     # The circle is one track in three pieces: sidings leave it, so that it has nodes.
     sheet = Sheet()
@@ -282,11 +289,5 @@ def test_prague_loses_no_legal_way_on(prague: Prague) -> None:
 
 
 @pytest.mark.realdata
-def test_prague_loads_at_once_and_is_small(prague: Prague) -> None:
+def test_prague_is_small(prague: Prague) -> None:
     assert prague.path.stat().st_size < 5e6
-    taken = []
-    for _ in range(3):
-        began = time.perf_counter()
-        network.load(prague.path)
-        taken.append(time.perf_counter() - began)
-    assert min(taken) < 0.3

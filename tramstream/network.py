@@ -216,17 +216,24 @@ class Network:
             for each in fields(self):
                 value = getattr(self, each.name)
                 if isinstance(value, np.ndarray):
-                    with archive.open(f"{each.name}.npy", "w") as file:
+                    with archive.open(_entry(f"{each.name}.npy"), "w") as file:
                         np.lib.format.write_array(file, _packed(each.name, value))
                 else:
                     names[each.name] = value
-            archive.writestr("names.json", json.dumps(names, ensure_ascii=False))
+            archive.writestr(_entry("names.json"), json.dumps(names, ensure_ascii=False))
         partial = path.with_name(path.name + ".partial")
         with partial.open("wb") as file:
             file.write(packed.getvalue())
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """An entry without a date: the same network is the same file."""
+    entry = zipfile.ZipInfo(name)
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    return entry
 
 
 def load(path: Path) -> Network:
