@@ -35,6 +35,8 @@ HEADING_M = 8.0
 TRACE_YAW_STD_RAD = 0.25
 TURN_M = 3.0
 """Who goes back by less has not turned."""
+JUMP_M = 50.0
+"""No estimate without a heading moves by more between two; what does is of another ride."""
 STANDS_MPS = 0.4
 LONGEST_GAP_S = 60.0
 """A trace that is silent for longer is two."""
@@ -63,7 +65,8 @@ class Leg(NamedTuple):
     begin_m: float
     end_m: float
     probability: float
-    """Least that this run had while the vehicle was on it, but for its first and last metres."""
+    """Least that this run had while the vehicle was on it and its heading known, but for its first
+    and last metres."""
 
 
 class Path(NamedTuple):
@@ -91,6 +94,7 @@ class PathFinder:
         self._stamps: list[int] = []
         self._plan: list[tuple[float, float]] = []
         self._known: list[dict[int, float]] = []
+        self._headed: list[bool] = []
         self._ends: list[tuple[int, int]] = []  # step and lineage where hypotheses ended
         self._on_map = False
 
@@ -119,6 +123,7 @@ class PathFinder:
         if match.run >= 0:
             known[match.run >> 1] = known.get(match.run >> 1, 0.0) + match.probability
         self._known.append(known)
+        self._headed.append(match.headed)
 
     def _best(self) -> int:
         """Lineage of the likeliest hypothesis; -1 without any."""
@@ -138,12 +143,20 @@ class PathFinder:
                 runs[begin:end] = run
                 end = min(end, begin)
                 lineage = parent
+        self._before_heading(runs)
         places = list(self._places(runs))
-        return Path(places, _legs(places))
+        return Path(places, _legs(places, self._headed))
+
+    def _before_heading(self, runs: NDArray[np.int64]) -> None:
+        """Where the heading was not known yet, the vehicle was where it set off from."""
+        for k in range(len(runs) - 2, -1, -1):
+            step = np.subtract(self._plan[k + 1], self._plan[k])
+            if not self._headed[k] and runs[k + 1] >= 0 and math.hypot(*step) < JUMP_M:
+                runs[k] = runs[k + 1]
 
     def _places(self, runs: NDArray[np.int64]) -> Iterator[Place]:
         rails, last, s = self._matcher.rails, -1, 0.0
-        forwards = _directions(runs, np.array(self._plan), self._network)
+        forwards = _directions(runs, np.array(self._plan), self._headed, self._network)
         for stamp_ns, run, (east, north), known, onwards in zip(
             self._stamps, runs.tolist(), self._plan, self._known, forwards, strict=True
         ):
@@ -170,7 +183,9 @@ class PathFinder:
         return s if run % 2 == 0 else float(self._network.length_m[track]) - s
 
 
-def _directions(runs: NDArray[np.int64], plan: Array, network: Network) -> list[bool]:
+def _directions(
+    runs: NDArray[np.int64], plan: Array, headed: list[bool], network: Network
+) -> list[bool]:
     """Whether the vehicle moves along its x axis, point by point: by the run's rules and its way.
 
     It turned back where it was farthest, once it has gone `TURN_M` the other way: the errors of a
@@ -179,7 +194,8 @@ def _directions(runs: NDArray[np.int64], plan: Array, network: Network) -> list[
     onwards = np.ones(len(runs), dtype=bool)
     gone, farthest, far, sign = 0.0, 0.0, 0, 0
     for k in range(1, len(runs)):
-        if runs[k] < 0:
+        # Without a heading estimates are as restless as fixes.
+        if runs[k] < 0 or not (headed[k - 1] and headed[k]):
             continue
         step, part = plan[k] - plan[k - 1], network.samples_of(int(runs[k]) >> 1)
         near = np.hypot(network.east[part] - plan[k, 0], network.north[part] - plan[k, 1])
@@ -195,20 +211,21 @@ def _directions(runs: NDArray[np.int64], plan: Array, network: Network) -> list[
     return [bool(each) for each in onwards]
 
 
-def _legs(places: list[Place]) -> list[Leg]:
+def _legs(places: list[Place], headed: list[bool]) -> list[Leg]:
     legs: list[Leg] = []
     begin = 0
     for k in range(1, len(places) + 1):
         if k < len(places) and places[k].run == places[begin].run:
             continue
         part = places[begin:k]
+        sure = [each for each, known in zip(part, headed[begin:k], strict=True) if known] or part
         inner = [
             each.probability
-            for each in part
+            for each in sure
             if abs(each.chainage_m - part[0].chainage_m) > HEADING_M
             and abs(each.chainage_m - part[-1].chainage_m) > HEADING_M
         ]
-        whole = inner or [each.probability for each in part]
+        whole = inner or [each.probability for each in sure]
         first, last = part[0], part[-1]
         legs.append(
             Leg(
