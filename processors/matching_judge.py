@@ -20,7 +20,16 @@ from typing import NamedTuple
 import numpy as np
 
 from tramstream.network import Array, Network
-from tramstream.network_rides import Choice, Flags, Integers, NetworkRide, Spots, plan_at, sampled
+from tramstream.network_rides import (
+    Choice,
+    Flags,
+    Integers,
+    NetworkRide,
+    Spots,
+    end_node,
+    plan_at,
+    sampled,
+)
 
 NEAR_M = 15.0
 PARTED_M = 1.0
@@ -148,11 +157,16 @@ def ways(
 
     If `parted`, it is asked no earlier than the rails of all ways have parted: at some switches
     that takes more than 50 m. Where the ride ends earlier it is asked there; switches less than
-    half as far from the end, and such that the answers begin beyond, are left out. `route_m`
-    ascends.
+    half as far from the end, and such that the answers begin beyond, are left out, and so are
+    interlaced tracks: which pair of rails it is that lies a hand beside the other nobody can tell,
+    and nothing depends on it. `route_m` ascends.
     """
     found, least_m = [], beyond_m
-    for choice in ride.choices:
+    for drawn in ride.choices:
+        others = tuple(each for each in drawn.others if not interlaced(ride, drawn, each))
+        choice = drawn._replace(others=others)
+        if not others:
+            continue
         beyond_m = max(least_m, parted_m(ride, choice)) if parted else least_m
         asked_m = min(choice.route_m + beyond_m, float(route_m[-1]))
         if asked_m < choice.route_m + beyond_m / 2 or route_m[0] > choice.route_m:
@@ -175,16 +189,30 @@ def _right_way(
     return run in own - other
 
 
+def interlaced(ride: NetworkRide, choice: Choice, other: int) -> bool:
+    """Whether another way goes from the switch to where the way taken goes, and never parts."""
+    network = ride.network
+    if end_node(network, other) != end_node(network, choice.taken):
+        return False
+    return float(np.max(_off_m(ride, choice, other))) <= PARTED_M
+
+
+def _off_m(ride: NetworkRide, choice: Choice, other: int) -> Array:
+    """How far the rails of another way are beside the route, metre by metre to that way's end."""
+    steps = np.arange(1.0, max(float(ride.network.length_m[other >> 1]), 2.0))
+    beside = plan_at(ride.network, Spots(np.full(len(steps), other), steps))
+    own = plan_at(ride.network, ride.spots_at(choice.route_m + steps))
+    off: Array = np.hypot(*(beside - own).T)
+    return off
+
+
 def parted_m(ride: NetworkRide, choice: Choice) -> float:
     """How far beyond a switch the rails of all ways have parted; at a way's end at the latest."""
     farthest_m = 0.0
     for other in choice.others:
-        steps = np.arange(1.0, max(float(ride.network.length_m[other >> 1]), 2.0))
-        beside = plan_at(ride.network, Spots(np.full(len(steps), other), steps))
-        own = plan_at(ride.network, ride.spots_at(choice.route_m + steps))
-        off_m = np.hypot(*(beside - own).T)
+        off_m = _off_m(ride, choice, other)
         away = np.flatnonzero(off_m > PARTED_M)
-        farthest_m = max(farthest_m, float(steps[away[0] if len(away) else -1]))
+        farthest_m = max(farthest_m, 1.0 + float(away[0] if len(away) else len(off_m) - 1))
     return farthest_m
 
 

@@ -271,10 +271,10 @@ def crossover() -> Made:
 
 
 @cache
-def passing_loop(radius_m: float = SWITCH_M) -> Made:
+def passing_loop(radius_m: float = SWITCH_M, apart_m: float = PARALLEL_M) -> Made:
     """A track that parts into two, 3.3 m apart for 120 m, and is one again."""
     before = laid(straight(200.0))
-    half = PARALLEL_M / 2.0
+    half = apart_m / 2.0
     left, right = (
         after(before, aside(way, radius_m) + straight(120.0) + aside(-way, radius_m))
         for way in (half, -half)

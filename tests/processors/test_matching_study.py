@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from networks import junctions as network
+from networks import passing_loop
 
 from tramstream import keys
 from tramstream.errors import ConfigError
@@ -137,6 +138,20 @@ def test_switch_is_left_out_where_the_ride_ends_just_beyond() -> None:
     said = main_ride().spots_at(route_m)
     found = judge.ways(main_ride(), said, judge.judge(main_ride(), said, route_m), route_m, 30.0)
     assert [each.choice.node for each in found] == network().to_node[:1].tolist()
+
+
+@pytest.mark.parametrize(("apart_m", "choices"), [(0.1, 0), (3.3, 1)])
+def test_interlaced_tracks_are_no_choice(apart_m: float, choices: int) -> None:
+    """Rails a hand beside each other that become one again."""
+    made = passing_loop(apart_m=apart_m)
+    runs = tuple(made.run(name) for name in ("before", "left", "behind"))
+    length_m = float(made.network.length_m.sum() - made.network.length_m[runs[1] >> 1]) - 20.0
+    route = Route("loop", runs, 10.0, length_m, (0.0, length_m))
+    ride = lay(made.network, route, np.random.default_rng(1), MapError(0.2))
+    route_m = np.arange(0.0, length_m)
+    said = ride.spots_at(route_m)
+    found = judge.ways(ride, said, judge.judge(ride, said, route_m), route_m)
+    assert len(found) == choices
 
 
 def test_way_is_asked_where_rails_have_parted_if_that_is_farther() -> None:
