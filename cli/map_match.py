@@ -81,7 +81,7 @@ def describe(network: Network, known: References, source: Source) -> dict[str, A
     count = max(len(source.path.places), 1)
     return {
         "matched": source.kind,
-        "notes": list(source.notes),
+        "notes": [*source.notes, *([] if places else [_nowhere(network, source)])],
         "duration_s": float(source.stamp_ns[-1] - source.stamp_ns[0]) / 1e9,
         "length_m": sum(leg["to_m"] - leg["from_m"] for leg in legs),
         "on_track_share": len(places) / count,
@@ -89,6 +89,17 @@ def describe(network: Network, known: References, source: Source) -> dict[str, A
         "across_p95_m": float(np.quantile(np.abs(across), 0.95)) if len(across) else None,
         "path": legs,
     }
+
+
+def _nowhere(network: Network, source: Source) -> str:
+    """Tell how far from all tracks a ride was that was on none."""
+    from tramstream.rails import Search
+
+    east, north = source.plan[len(source.plan) // 2]
+    away_m = Search(network).away_m(float(east), float(north))
+    return (
+        f"On no track of this map; the nearest is {away_m / 1000:.1f} km away. Is it this city's?"
+    )
 
 
 def _ends(network: Network, legs: list[Leg]) -> list[tuple[float, float]]:

@@ -89,6 +89,7 @@ def test_ride_off_the_map_has_no_length(network):
     figures = describe(network, references(network), source(Leg(-1, 0, S, 0.0, 0.0, 0.0)))
     assert (figures["length_m"], figures["on_track_share"], figures["across_rms_m"]) == (0, 0, None)
     assert figures["path"][0]["edge"] is None
+    assert "km away" in figures["notes"][-1]
     json.dumps(figures, allow_nan=False)
 
 
