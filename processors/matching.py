@@ -103,24 +103,18 @@ class Matcher:
         self._search = Search(network)
         self._corrects = corrects
         self.memory = np.zeros(kernels.MEMORY)
-        self._begin()
+        self.memory[kernels.SYNCED] = kernels.NONE
+        self.memory[kernels.DIRECTION] = 1.0
         self._constants = np.array(
             [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
         )
         self._motion = np.zeros(kernels.MOTION)
         self._out = np.zeros(steps.OUT)
-        self._frame: MapFrame | None = None
         self._stamp_ns = 0
         self._looked_ns = 0
         self._way_m = 0.0  # since tracks were looked for
         self._headed = False
         self._guessed = False  # the direction of travel
-
-    def _begin(self) -> None:
-        self.memory[: kernels.HEAD] = 0.0
-        self.memory[kernels.OFF] = 0.0
-        self.memory[kernels.SYNCED] = kernels.NONE
-        self.memory[kernels.DIRECTION] = 1.0
 
     @property
     def rails(self) -> Rails:
@@ -211,6 +205,7 @@ class Matcher:
         z, memory = self._motion, self.memory
         self._looked_ns, self._way_m = self._stamp_ns, 0.0
         memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
+        memory[kernels.SYNCED] = kernels.NONE
         speed = z[kernels.SPEED]
         self._guessed = abs(speed) <= MOVES_MPS
         if not self._guessed:
@@ -220,7 +215,7 @@ class Matcher:
         place = float(z[kernels.EAST]), float(z[kernels.NORTH])
         found = self._search.near(*place, radius)
         limit = HEADS_RAD + 2.0 * math.sqrt(z[kernels.P_YAW])
-        forwards = memory[kernels.DIRECTION] > 0.0
+        direction = float(memory[kernels.DIRECTION])
         begun = []
         for near in found:
             for back in (0, 1):
@@ -230,17 +225,14 @@ class Matcher:
                     continue
                 length = float(self._rails.length_m[near.track])
                 s = length - near.chainage_m if back else near.chainage_m
-                begun.append((run, s, 1.0 if self._allowed(run, forwards) else WRONG_WAY))
+                legal = steps.allowed(self._rails, run, direction)
+                begun.append((run, s, 1.0 if legal else WRONG_WAY))
         memory[kernels.OFF] = math.log(kernels.OFF_PRIOR / (2.0 * kernels.OFF_RADIUS_M))
         if headed:
             memory[kernels.OFF] -= math.log(math.tau)
         for run, s, prior in begun[: kernels.MOST]:
             kernels.seed(memory, self._rails, z, self._constants, run, s, prior / len(begun))
         kernels.tidy(memory)
-
-    def _allowed(self, run: int, forwards: bool) -> bool:
-        moving = run if forwards else run ^ 1
-        return bool(self._rails.rules[moving >> 1] & (1 if moving % 2 == 0 else 2))
 
     # What comes out ------------------------------------------------------------------------------
     def _match(self, headed: bool) -> Match:

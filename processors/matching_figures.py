@@ -67,7 +67,7 @@ class Mistake(NamedTuple):
     said: str
     """Empty: no answer."""
     said_run: int
-    """Names are not unique: some tracks join the same nodes."""
+    """Shorter than their names, which tables have no room for."""
     probability: float
     """Said at its start."""
 

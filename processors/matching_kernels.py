@@ -2,10 +2,11 @@
 
 The filter's estimate is off the true place by an error that changes slowly; a hypothesis says on
 which rails the vehicle runs, and with that where the truth is: q = (east, north) in the plan and
-h, the heading's error, with a covariance. q moves as the filter says that the vehicle moves, so it
-never jumps; it is drawn back to the filter's estimate as fast as errors of that forget themselves
-(first-order Gauss-Markov about the estimate, with the filter's own covariance). That the truth is
-on the rails, and heads along them, is measured once a metre:
+h, the heading's error, with a covariance. q moves as the filter says that the vehicle moves, not as
+its estimate jumps; it is drawn back to that as fast as its errors forget themselves (first-order
+Gauss-Markov about the estimate, with the filter's own covariance). Where the filter itself has been
+put onto these rails and is there, q is the filter's estimate (`SYNCED`). That the truth is on the
+rails, and heads along them, is measured once a metre:
 
     across(q) = 0 ± σ_map,        ψ + h − ψ_run(s(q)) = 0 ± σ_ψ
 

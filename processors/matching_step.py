@@ -86,7 +86,7 @@ OUT = GRADE_VARIANCE + 1
 
 # Where rails branch ------------------------------------------------------------------------------
 @compiled
-def _allowed(rails: Rails, run: int, direction: float) -> bool:
+def allowed(rails: Rails, run: int, direction: float) -> bool:
     """Whether trams are meant to go along a run (direction > 0) or against it."""
     moving = run if direction > 0.0 else run ^ 1
     return bool(rails.rules[moving >> 1] & (1 if moving & 1 == 0 else 2))
@@ -101,7 +101,7 @@ def _divide(M: Array, rails: Rails, k: int, last: int, slot: int, backwards: boo
     legal = 0
     for i in range(first, end):
         run = rails.following[i] ^ 1 if backwards else rails.following[i]
-        legal += _allowed(rails, run, direction)
+        legal += allowed(rails, run, direction)
     h = row(M, k)
     if first == end:
         h[slot] = END
@@ -113,7 +113,7 @@ def _divide(M: Array, rails: Rails, k: int, last: int, slot: int, backwards: boo
     parent, used = h[OWN], 0
     for i in range(first, end):
         run = rails.following[i] ^ 1 if backwards else rails.following[i]
-        if legal and not _allowed(rails, run, direction):
+        if legal and not allowed(rails, run, direction):
             continue
         part = h
         if used:

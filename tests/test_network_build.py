@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from networks import passing_loop
 from numpy.typing import NDArray
 from prague import Prague
 
@@ -149,6 +150,18 @@ def test_network_survives_its_file(double: tuple[Sheet, Network, Report], tmp_pa
     np.testing.assert_array_equal(found.across_std_m, net.across_std_m)
     assert found.ways == net.ways
     assert found.node_std_m == net.node_std_m
+
+
+def test_tracks_between_the_same_nodes_have_names_of_their_own() -> None:
+    loop = passing_loop()
+    assert loop.network.name_of(loop.run("right")) == loop.network.name_of(loop.run("left")) + "/2"
+
+
+@pytest.mark.realdata
+def test_runs_of_prague_are_told_apart_by_their_names(prague: Prague) -> None:
+    net = prague.network
+    names = {net.name_of(run) for run in range(2 * net.track_count)}
+    assert len(names) == 2 * net.track_count
 
 
 def test_one_network_is_one_file(double: tuple[Sheet, Network, Report], tmp_path: Path) -> None:

@@ -9,10 +9,11 @@ so a tram that goes where it should not is on the network all the same.
 Geometry is sampled evenly along each track, at most `SAMPLE_M` apart, from a smooth curve through
 the map's nodes: position, heading and curvature, each with the deviation that the curve has from
 the rail. The plan is that of `level`, in which every point lies at the level's own height; heights
-of track and vehicle never enter it (`plan_of`). So a plan is good to 1e-5 of a length for a city.
+of track and vehicle never enter it (`plan_of`). Track that lies 250 m above it is 4e-5 of its
+length longer than in the plan.
 
-A network is a file of numpy arrays (`numpy.load` opens it) and one of names; `network_build` makes
-it from maps.
+A network is a zip of numpy arrays and names; those in `_STEP` are packed, `load` unpacks them.
+`network_build` makes it from maps.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import os
 import zipfile
 import zlib
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -133,7 +135,7 @@ class Network:
     grade_std_rad: Singles
     partner: Bytes
     """Bits PARTNER_LEFT and PARTNER_RIGHT of the track as drawn: a parallel track within
-    `network_build.PARTNER_M` on that side."""
+    `network_partners.PARTNER_M` on that side."""
     stops: tuple[Stop, ...] = ()
     ways: tuple[Way, ...] = ()
     """In order of tracks and chainage."""
@@ -174,10 +176,30 @@ class Network:
         return slice(int(self.starts[track]), int(self.starts[track + 1]))
 
     def name_of(self, run: int) -> str:
-        """What a run is called: the map's numbers of the nodes that it goes from and to."""
+        """What a run is called: the map's numbers of the nodes that it goes from and to.
+
+        Where several tracks join the same two nodes, the second and further ones have `/2` and so
+        on behind it; a ring that is run against how it is drawn has `/back`.
+        """
         nodes = self.node_id[self.from_node[run >> 1]], self.node_id[self.to_node[run >> 1]]
         begin, end = nodes if run % 2 == 0 else nodes[::-1]
-        return f"{begin}-{end}"
+        number = self._numbers.get(run >> 1)
+        back = "/back" if begin == end and run % 2 else ""
+        return f"{begin}-{end}" + (f"/{number}" if number else "") + back
+
+    @cached_property
+    def _numbers(self) -> dict[int, int]:
+        """Which one of those that join the same two nodes a track is, from the second one on."""
+        seen: dict[tuple[int, int], int] = {}
+        numbers = {}
+        for track, (one, other) in enumerate(
+            zip(self.from_node.tolist(), self.to_node.tolist(), strict=True)
+        ):
+            pair = min(one, other), max(one, other)
+            seen[pair] = seen.get(pair, 0) + 1
+            if seen[pair] > 1:
+                numbers[track] = seen[pair]
+        return numbers
 
     def plan_of(self, geodetic: ArrayLike) -> Array:
         """Give places in the plan.
