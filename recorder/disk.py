@@ -167,6 +167,7 @@ class Recording:
         """
         if self._file is not None:
             self._end_part()
+        self._settle()  # parts that the disk has refused so far get another chance
         drained = self._worker.drain(timeout_s)
         self._settle(again=False)
         if self._closing:

@@ -30,7 +30,8 @@ from tramstream.recorder.found import Part, Scan, restore
 from tramstream.recorder.layout import GUARD, MAGIC, RECORD, VOID, encode, file_id_of
 from tramstream.recorder.recover import Recovery, restore_schemas, values_of
 from tramstream.recorder.scan import scan
-from tramstream.recorder.sink import ACTIVE, reason, sync_directory
+from tramstream.recorder.sink import ACTIVE, reason
+from tramstream.recorder.storage import DISK, Storage
 from tramstream.recorder.summary import Contents
 
 REDO = ".repair"
@@ -39,10 +40,11 @@ _REDO_MAGIC = b"TramRep1"
 _WRITE = struct.Struct("<QQ")
 
 
-def repair(active: Path) -> Recovery:
+def repair(active: Path, storage: Storage = DISK) -> Recovery:
     """Finish the record that a recorder left as `<name>.mcap.active`, in place.
 
-    Safe to be killed at any moment and to be started again. A file without messages is deleted.
+    Safe to be killed at any moment and to be started again. A file without messages is deleted; of
+    one that has its final name beside the other already, the other is taken away.
 
     Raises
     ------
@@ -53,9 +55,14 @@ def repair(active: Path) -> Recovery:
     final = active.with_name(active.name.removesuffix(ACTIVE))
     redo = final.with_name(final.name + REDO)
     with _locked(active) as fd:
-        if final.exists():
+        if final.exists() and not final.samefile(active):
             raise RecordError(f"{active}: {final.name} exists already; move one of them away")
         try:
+            if final.exists():  # `Storage.rename` was cut between its two steps
+                storage.unlink(active)
+                storage.sync_directory(final.parent)
+                with Source(final) as source:
+                    return _of_finished(Recovery(active, final), source)
             log = _read_redo(redo)
             recovery = Recovery(active, final)
             with Source(active) as source:
@@ -63,17 +70,17 @@ def repair(active: Path) -> Recovery:
                     found = scan(source)
                     recovery.read(found)
                     if not recovery.messages:
-                        return _delete_empty(active, found)
+                        return _delete_empty(active, found, storage)
                     restore_schemas(found)
                     log = _plan(source, found, recovery)
-                    _write_redo(redo, log)
-            _carry_out(fd, log)
+                    _write_redo(redo, log, storage)
+            _carry_out(fd, log, storage)
             with Source(active) as source:
                 recovery = recovery if recovery.messages else _of_finished(recovery, source)
-            os.rename(active, final)
-            sync_directory(final.parent)
-            redo.unlink(missing_ok=True)
-            sync_directory(final.parent)
+            storage.rename(active, final)
+            storage.sync_directory(final.parent)
+            storage.unlink(redo)
+            storage.sync_directory(final.parent)
         except OSError as error:
             raise RecordError(f"{active}: cannot be repaired: {reason(error)}") from error
     return recovery
@@ -98,12 +105,12 @@ def _locked(active: Path) -> Iterator[int]:
         os.close(fd)
 
 
-def _delete_empty(active: Path, found: Scan) -> Recovery:
+def _delete_empty(active: Path, found: Scan, storage: Storage) -> Recovery:
     """Delete a file that never got a message; keep one that has bytes nobody understands."""
     if found.size - found.good_end > 1 << 16:
         raise RecordError(f"{active}: holds no message that can be read; look at it and delete it")
-    active.unlink()
-    sync_directory(active.parent)
+    storage.unlink(active)
+    storage.sync_directory(active.parent)
     return Recovery(active, None)
 
 
@@ -233,19 +240,25 @@ def _add_chunk(
     tail += chunk + indexes
 
 
-def _write_redo(path: Path, log: _Log) -> None:
+def _write_redo(path: Path, log: _Log, storage: Storage) -> None:
     size, writes = log
     body = b"".join(_WRITE.pack(offset, len(data)) + data for offset, data in writes)
     body = struct.pack("<Q", size) + body
-    fd = os.open(path, os.O_CREAT | os.O_TRUNC | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+    storage.unlink(path)  # of a repair that was killed
+    fd = storage.create(path)
     try:
-        data = memoryview(_REDO_MAGIC + struct.pack("<I", zlib.crc32(body)) + body)
-        while data:
-            data = data[os.write(fd, data) :]
-        os.fsync(fd)
+        _write_all(fd, _REDO_MAGIC + struct.pack("<I", zlib.crc32(body)) + body, 0, storage)
+        storage.sync(fd)
     finally:
-        os.close(fd)
-    sync_directory(path.parent)
+        storage.close(fd)
+    storage.sync_directory(path.parent)
+
+
+def _write_all(fd: int, data: bytes, offset: int, storage: Storage) -> None:
+    view = memoryview(data)
+    while view:
+        done = storage.write(fd, view, offset)
+        offset, view = offset + done, view[done:]
 
 
 def _read_redo(path: Path) -> _Log | None:
@@ -266,12 +279,9 @@ def _read_redo(path: Path) -> _Log | None:
     return size, writes
 
 
-def _carry_out(fd: int, log: _Log) -> None:
+def _carry_out(fd: int, log: _Log, storage: Storage) -> None:
     size, writes = log
     for offset, data in writes:
-        view = memoryview(data)
-        while view:
-            done = os.pwrite(fd, view, offset)
-            offset, view = offset + done, view[done:]
-    os.ftruncate(fd, size)
-    os.fsync(fd)
+        _write_all(fd, data, offset, storage)
+    storage.truncate(fd, size)
+    storage.sync(fd)

@@ -8,17 +8,20 @@ with a whole group unless the power goes while one is written.
 from __future__ import annotations
 
 import errno
-import fcntl
-import os
 import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum, auto
 from pathlib import Path
 from queue import SimpleQueue
 
+from tramstream.recorder.storage import DISK, Storage
+
 LIMIT_BYTES = 32_000_000
 """Kept in memory while the disk refuses or stalls: some minutes of live traffic."""
+RESERVE_BYTES = 8_000_000
+"""Set aside for a live file at a time: about a minute."""
 ACTIVE = ".active"
 """Ending of a file that is still written, after its final name."""
 
@@ -68,9 +71,13 @@ class LossBook:
 
 
 class Worker:
-    """Runs jobs in order on a thread of its own, or at once if not `threaded` (tests, tools)."""
+    """Runs jobs in order on a thread of its own, or at once if not `threaded` (tests, tools).
 
-    def __init__(self, threaded: bool = True) -> None:
+    `storage` is the disk that the jobs work on.
+    """
+
+    def __init__(self, threaded: bool = True, storage: Storage = DISK) -> None:
+        self.storage = storage
         self._threaded = threaded
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -110,13 +117,36 @@ class Worker:
                 self._failure = error
 
 
+class Stage(Enum):
+    """Where a file is on its way. Each has one owner who may leave it, as told behind it.
+
+    ::
+
+        GROWING --finish--> ENDING --written, synced, renamed--> NAMED --folder synced--> FINISHED
+           \\---abandon----/---abandon----> ABANDONED
+    """
+
+    GROWING = auto()
+    """Groups may be put; the file is `<name>.active`. Left by its owner."""
+    ENDING = auto()
+    """Nothing is put any more, and what was put is not yet all on the disk. Left by the worker."""
+    NAMED = auto()
+    """The file has its final name, which a power cut may still undo. Left by the worker."""
+    FINISHED = auto()
+    """The file has its final name for good. Never left."""
+    ABANDONED = auto()
+    """The file stays `<name>.active` as it is. Never left."""
+
+
 class Sink:
     """One file that grows by whole groups, `<name>.active` until it is finished.
 
-    `put`, `flush` and `finish` only queue work. `error` is one sentence while the disk refuses,
-    empty otherwise; `spoiled` says that a sync failed, after which the kernel forgets what it has
-    not written: the owner should go on in another file. A `durable` sink syncs at each flush, any
-    does before it is finished.
+    `put`, `flush` and `finish` only queue work: one job at the most beside the one that runs. A job
+    does what the file's `Stage` asks for, so it does not matter how many run, or when: on a
+    finished or abandoned file a job does nothing. `error` is one sentence while the disk refuses,
+    empty otherwise. A `durable` sink syncs at each flush, any does before it is finished. After a
+    sync that failed the kernel forgets what it has not written, so a durable sink writes anew what
+    came since the last good one; `spoiled` tells the owner meanwhile to go on in another file.
     """
 
     def __init__(self, final: Path, worker: Worker, durable: bool = True) -> None:
@@ -127,44 +157,70 @@ class Sink:
         self.error = ""
         self.error_number = 0
         self.spoiled = False
-        self.finished = False
         self._worker = worker
         self._durable = durable
+        self._storage = worker.storage
         self._groups: deque[bytes] = deque()
-        self._lock = threading.Lock()
-        self._scheduled = False
-        self._finishing = False
+        self._unsynced: list[bytes] = []  # in the file of a durable sink, not known to be on disk
+        self._lock = threading.Lock()  # of the stage, of what waits, and of whether a job does
+        self._stage = Stage.GROWING
+        self._queued = False
         self._fd = -1
         self._new = False
+        self._reserved = 0
 
     @property
     def pending_bytes(self) -> int:
         return self.size - self.written
 
+    @property
+    def finished(self) -> bool:
+        """Whether the file has its final name for good."""
+        return self._stage is Stage.FINISHED
+
     def put(self, group: bytes) -> None:
-        """Append `group`, whole or not at all."""
+        """Append `group`, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If the file was finished or abandoned: nothing may be put behind its end.
+        """
+        if self._stage is not Stage.GROWING:
+            raise ValueError(f"{self.path}: a group was put behind the end of the file")
         self._groups.append(group)
         self.size += len(group)
 
     def flush(self) -> None:
         """Write and sync what is there, in the background."""
         with self._lock:
-            if self._scheduled or self.finished:
+            if self._queued or self._stage in (Stage.FINISHED, Stage.ABANDONED):
                 return
-            self._scheduled = True
+            self._queued = True
         self._worker.submit(self._work)
 
     def finish(self) -> None:
-        """Once all is written and synced, give the file its final name."""
-        self._finishing = True
+        """Once all is written and synced, give the file its final name; again while it refuses."""
+        with self._lock:
+            if self._stage is Stage.GROWING:
+                self._stage = Stage.ENDING
         self.flush()
 
     def abandon(self, busy: bool = False) -> list[bytes]:
-        """Close the file as it is (if not `busy`) and return the groups that are not in it."""
+        """Leave the file as it is and return the groups that are not in it.
+
+        `busy` says that the worker may hang in the file: it is then not closed. Should the worker
+        come back, it takes the group that it was writing out of the file again.
+        """
+        with self._lock:
+            if self._stage in (Stage.NAMED, Stage.FINISHED):
+                return []  # all is in it
+            self._stage = Stage.ABANDONED
+            groups = list(self._groups)
         if self._fd >= 0 and not busy:
-            os.close(self._fd)
+            self._storage.close(self._fd)
             self._fd = -1
-        return list(self._groups)
+        return groups
 
     def discard(self) -> None:
         """Close and delete the unfinished file."""
@@ -173,70 +229,99 @@ class Sink:
 
     def _work(self) -> None:
         with self._lock:
-            self._scheduled = False
-        finishing = self._finishing  # nothing is put after it was set
+            self._queued = False  # whoever comes from here on wants another job
+            stage = self._stage
+        if stage in (Stage.FINISHED, Stage.ABANDONED):
+            return
         try:
-            self._open()
-            grown = self._write()
-            if finishing or (grown and self._durable):
-                self._sync()
-            if finishing:
-                self._rename()
+            if stage is not Stage.NAMED:
+                self._bring(ending=stage is Stage.ENDING)
+            if self._stage is Stage.NAMED:
+                self._storage.sync_directory(self.path.parent)
+                self._storage.close(self._fd)
+                self._fd = -1
+                self._go(Stage.NAMED, Stage.FINISHED)
         except OSError as error:
             self._refuse(error)
         else:
             self.error, self.error_number = "", 0
 
-    def _open(self) -> None:
+    def _go(self, from_: Stage, to: Stage) -> bool:
+        """Change the stage, unless somebody else has changed it meanwhile."""
+        with self._lock:
+            if self._stage is not from_:
+                return False
+            self._stage = to
+        return True
+
+    def _bring(self, ending: bool) -> None:
+        """Bring onto the disk what was put; with the last of it, the final name."""
         if self._fd < 0:
-            flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC
-            self._fd = os.open(self.path, flags, 0o644)
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # released when the process dies
+            self._fd = self._storage.create(self.path)
             self._new = True
+        grown = self._write()
+        if ending and self._reserved > self.written:
+            self._storage.truncate(self._fd, self.written)
+            self._reserved = 0
+        if ending or (grown and self._durable):
+            self._sync()
+        if ending and self._stage is Stage.ENDING:
+            self._storage.rename(self.path, self.final)
+            self._go(Stage.ENDING, Stage.NAMED)
 
     def _write(self) -> bool:
         grown = False
         while self._groups:
             group = memoryview(self._groups[0])
+            self._reserve(len(group))
             done = 0
             while done < len(group):
-                done += self._pwrite(group[done:], self.written + done)
-            self.written += len(group)
-            self._groups.popleft()
+                done += self._storage.write(self._fd, group[done:], self.written + done)
+            with self._lock:  # a group is in the file, or its owner has it back: never both
+                kept = self._stage is not Stage.ABANDONED
+                if kept:
+                    self.written += len(group)
+                    self._unsynced.append(self._groups.popleft())
+            if not kept:
+                self._storage.truncate(self._fd, self.written)
+                return False
             grown = True
+        if not self._durable:
+            self._unsynced.clear()
         return grown
+
+    def _reserve(self, size: int) -> None:
+        """Have blocks set aside for a live file, some minutes at a time."""
+        if self._durable and self.written + size > self._reserved:
+            self._reserved = self.written + size + RESERVE_BYTES
+            self._storage.reserve(self._fd, self._reserved)
 
     def _sync(self) -> None:
         try:
-            self._fdatasync()
+            self._storage.sync(self._fd)
         except OSError:
             self.spoiled = True
+            with self._lock:
+                self._groups.extendleft(reversed(self._unsynced))
+                self.written -= sum(map(len, self._unsynced))
+                self._unsynced.clear()
             raise
+        self._unsynced.clear()
+        self.spoiled = False
         if self._new:
-            sync_directory(self.path.parent)
+            self._storage.sync_directory(self.path.parent)
             self._new = False
-
-    def _rename(self) -> None:
-        os.rename(self.path, self.final)
-        sync_directory(self.path.parent)
-        os.close(self._fd)
-        self._fd, self.finished = -1, True
 
     def _refuse(self, error: OSError) -> None:
         """Cut off what was written of a group and say why."""
         try:
             if self._fd >= 0:
-                os.ftruncate(self._fd, self.written)
+                self._storage.truncate(self._fd, self.written)
+                self._reserved = 0
         except OSError:
             self.spoiled = True  # the rest of a group stays; readers step over it
         self.error_number = error.errno or 0
         self.error = f"{self.path}: {reason(error)}"
-
-    def _pwrite(self, data: memoryview, offset: int) -> int:
-        return os.pwrite(self._fd, data, offset)
-
-    def _fdatasync(self) -> None:
-        os.fdatasync(self._fd)
 
 
 _REASONS = {
@@ -255,12 +340,3 @@ def reason(error: OSError) -> str:
     """Why the disk refuses and what helps, as the end of a sentence."""
     known = _REASONS.get(error.errno or 0)
     return known or f"the disk refuses ({error.strerror or error})"
-
-
-def sync_directory(folder: Path) -> None:
-    """Make names that were created, changed or deleted in `folder` survive a power cut."""
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from disks import Watched, refusing
 from record_samples import START_NS, VEHICLE, active, plain, read, traffic
 
 from tramstream.clock import S, VehicleClock
@@ -37,9 +38,12 @@ def time():
 @pytest.fixture
 def recording(tmp_path, time):
     settings = Recorder(split_s=1.0, free_space_floor_bytes=0)
-    return Recording(
-        tmp_path, VEHICLE, settings, time.clock, {"config": "x"}, Worker(threaded=False)
-    )
+    worker = Worker(threaded=False, storage=Watched())
+    return Recording(tmp_path, VEHICLE, settings, time.clock, {"config": "x"}, worker)
+
+
+def disk_of(recording) -> Watched:
+    return recording._worker.storage
 
 
 def feed(recording, time, sent, flush_every=100):
@@ -186,17 +190,16 @@ def test_refused_write_is_cut_off_and_tried_again(recording, time, tmp_path, mon
     sent = traffic(400)
     feed(recording, time, sent[:100])
     sink = recording._file._sink
-    real = sink._pwrite
     room = [700]
 
-    def small(data, offset):
+    def small(self, fd, data, offset):
         if room[0] <= 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written = real(data[: room[0]], offset)
+        written = os.pwrite(fd, data[: room[0]], offset)
         room[0] -= written
         return written
 
-    monkeypatch.setattr(sink, "_pwrite", small)
+    monkeypatch.setattr(Watched, "write", small)
     good = sink.path.stat().st_size
     feed(recording, time, sent[100:200])
     assert sink.path.stat().st_size == good
@@ -212,15 +215,11 @@ def test_refused_write_is_cut_off_and_tried_again(recording, time, tmp_path, mon
         assert plain(record.messages()) == plain(sent)
 
 
-def test_what_a_full_disk_never_took_is_counted_at_the_end(recording, time, tmp_path, monkeypatch):
+def test_what_a_full_disk_never_took_is_counted_at_the_end(recording, time, tmp_path):
     recording.start()
     sent = traffic(300)
     feed(recording, time, sent[:100])
-
-    def refuse(data, offset):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(recording._file._sink, "_pwrite", refuse)
+    disk_of(recording).before = refusing("write", errno.ENOSPC)
     feed(recording, time, sent[100:])
     assert not recording.close()
     assert sum(loss.count for loss in recording.take_losses()) == 200
@@ -228,28 +227,46 @@ def test_what_a_full_disk_never_took_is_counted_at_the_end(recording, time, tmp_
     assert read(left) == plain(sent[:100])
 
 
-def test_failed_sync_makes_the_recording_go_on_in_another_file(
-    recording, time, tmp_path, monkeypatch
-):
+def test_failed_sync_makes_the_recording_go_on_in_another_file(recording, time, tmp_path):
     recording.settings = Recorder(split_s=1000.0, free_space_floor_bytes=0)
     recording.start()
     sent = traffic(200)
     feed(recording, time, sent[:100])
-
-    def refuse():
-        raise OSError(errno.EIO, "Input/output error")
-
-    monkeypatch.setattr(recording._file._sink, "_fdatasync", refuse)
+    disk, before = disk_of(recording), disk_of(recording).before
+    disk.before = refusing("sync", errno.EIO)
     feed(recording, time, sent[100:150], flush_every=10)
     assert recording.part == 1
-    monkeypatch.undo()
+    assert "replace it" in recording.text
     time.ns += 11 * S
     recording.flush()
+    disk.before = before
     feed(recording, time, sent[150:])
     assert recording.part == 2
     assert recording.close()
     with open_record(tmp_path) as record:
         assert plain(record.messages()) == plain(sent)
+
+
+def test_what_a_failed_sync_may_have_cost_is_written_again(recording, time, tmp_path):
+    """The kernel drops pages that it could not write and reports that once only."""
+    recording.start()
+    sent = traffic(200)
+    feed(recording, time, sent[:100])
+    disk, before = disk_of(recording), disk_of(recording).before
+    path = recording._file._sink.path
+    safe = path.stat().st_size
+    disk.before = refusing("sync", errno.EIO)
+    feed(recording, time, sent[100:])
+    with path.open("r+b") as file:  # what the kernel makes of it
+        file.seek(safe)
+        file.write(bytes(path.stat().st_size - safe))
+    disk.before = before
+    recording.flush()
+    assert recording.state == NodeHealth.OK
+    assert recording.close()
+    with open_record(tmp_path) as record:
+        assert plain(record.messages()) == plain(sent)
+        assert not record.damaged
 
 
 def test_folder_that_cannot_be_made_is_told_and_tried_again(tmp_path, time):
@@ -279,6 +296,7 @@ WRITER = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
+from disks import Watched, refusing
 from record_samples import VEHICLE, append, traffic
 from tramstream.config import Recorder
 from tramstream.recorder.disk import Recording

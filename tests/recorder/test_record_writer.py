@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from disks import Watched, refusing
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -195,13 +197,9 @@ def test_existing_file_is_never_written_over(tmp_path):
         write(tmp_path / "b.mcap", traffic(3))
 
 
-def test_failed_sync_is_told_and_the_file_is_given_up(tmp_path, monkeypatch):
-    record = RecordFile(tmp_path / "a.mcap", VEHICLE, worker=Worker(threaded=False))
-
-    def refuse():
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(record._sink, "_fdatasync", refuse)
+def test_failed_sync_is_told_and_the_file_is_given_up(tmp_path):
+    disk = Watched(refusing("sync", errno.EIO))
+    record = RecordFile(tmp_path / "a.mcap", VEHICLE, worker=Worker(threaded=False, storage=disk))
     one = traffic(1)[0]
     record.append(one.topic, one.key, one.payload, one.log_ns, one.publish_ns, one.sequence)
     record.flush()
