@@ -29,7 +29,6 @@ from tramstream import keys
 from tramstream.bridges import gnss_messages, nmea, ubx
 from tramstream.bridges.framing import NMEA, UBX, Frame, Framer, Rejected
 from tramstream.bridges.gnss_clock import (
-    GPS_EPOCH_UNIX_S,
     MS,
     ArrivalClock,
     GpsTimeline,
@@ -38,7 +37,7 @@ from tramstream.bridges.gnss_clock import (
 )
 from tramstream.bridges.nmea import EpochAssembler
 from tramstream.bridges.ubx import UbxMessage
-from tramstream.clock import S
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.keys import Key

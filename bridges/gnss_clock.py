@@ -16,10 +16,8 @@ from datetime import date
 from typing import Any
 
 from tramstream.bridges.ubx import UbxMessage
-from tramstream.clock import ClockFit, S
+from tramstream.clock import GPS_EPOCH_UNIX_S, ClockFit, S
 
-GPS_EPOCH_UNIX_S = 315_964_800
-"""1980-01-06T00:00:00 in Unix time."""
 WEEK_NS = 604_800 * S
 MS = 1_000_000
 """Nanoseconds in a millisecond."""

@@ -43,14 +43,16 @@ def _print(description: Description) -> None:
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else 160)
-    start = datetime.fromtimestamp(description.start_ns // 1_000_000_000, UTC)
+    start_ns = description.start_ns + description.utc_offset_ns
+    clock = "UTC, as known later" if description.utc_offset_ns else "vehicle clock"
+    start = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC)
     schema = description.schema_version
     facts = [
         ("files", "\n".join(description.files)),
         ("vehicle", description.vehicle or "unknown: not written by tramstream"),
         ("written by", description.software),
         ("schema", f"version {schema}" if schema is not None else ""),
-        ("start", f"{start:%Y-%m-%d %H:%M:%S} (vehicle clock)" if description.start_ns else ""),
+        ("start", f"{start:%Y-%m-%d %H:%M:%S} ({clock})" if description.start_ns else ""),
         ("duration", f"{description.duration_s:.1f} s"),
         ("size", f"{description.size_bytes / 1e6:.2f} MB"),
         ("messages", f"{description.message_count}"),

@@ -9,13 +9,13 @@ import numpy as np
 
 from tramstream import keys
 from tramstream.bridges import gnss_messages
-from tramstream.bridges.gnss_clock import GPS_EPOCH_UNIX_S, MS, WEEK_NS, leap_seconds_on
+from tramstream.bridges.gnss_clock import MS, WEEK_NS, leap_seconds_on
 from tramstream.cli import table_columns as columns
 from tramstream.cli import table_imu
 from tramstream.cli.table_columns import Mask, Placed
 from tramstream.cli.table_mapping import GnssTable, ImuTable, OdometryTable, TruthTable
 from tramstream.cli.table_reader import Array
-from tramstream.clock import S
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel

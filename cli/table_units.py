@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from tramstream.bridges.gnss_clock import GPS_EPOCH_UNIX_S, WEEK_NS, leap_seconds_on, utc_ns
+from tramstream.bridges.gnss_clock import WEEK_NS, leap_seconds_on, utc_ns
 from tramstream.bridges.imu import STANDARD_GRAVITY_MPS2
-from tramstream.clock import S
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Struct
 
 UNITS: dict[str, dict[str, float]] = {

@@ -8,6 +8,7 @@ from typing import Any
 
 from tramstream import keys
 from tramstream.proto.health_pb2 import Loss
+from tramstream.recorder.names import UTC_OFFSET
 from tramstream.recorder.reader import Entry, Record
 
 _WRAP = 1 << 32
@@ -50,6 +51,8 @@ class Description:
     recovered: str
     start_ns: int
     end_ns: int
+    utc_offset_ns: int
+    """UTC minus the vehicle clock, by which the two stamps above are told; 0 if they are UTC."""
     duration_s: float
     size_bytes: int
     message_count: int
@@ -102,6 +105,7 @@ def describe(record: Record, see: Callable[[Entry], None] | None = None) -> Desc
         recovered=record.metadata.get("recovered", ""),
         start_ns=start_ns,
         end_ns=end_ns,
+        utc_offset_ns=_utc_offset_ns(record),
         duration_s=(end_ns - start_ns) / 1e9,
         size_bytes=record.size_bytes,
         message_count=count,
@@ -130,6 +134,15 @@ def _add(channel: ChannelFigures, entry: Entry, latest: dict[str, int]) -> None:
     latest[entry.topic] = entry.sequence
     channel.count += 1
     channel.last_log_ns = entry.log_ns
+
+
+def _utc_offset_ns(record: Record) -> int:
+    """What the recorder knew of it at the end of a part; 0 if it had nothing to correct."""
+    for file in record.files:
+        text = file.metadata.get(UTC_OFFSET, "")
+        if text.removeprefix("-").isdecimal() and abs(int(text[:20])) < _WRAP**2 // 4:
+            return int(text)
+    return 0
 
 
 def _names(topic: str, key: str) -> bool:

@@ -1,8 +1,8 @@
 """The folder of records: one running recording in parts, repair at the start, a floor of space.
 
-A part is `<vehicle>_<start, like UTC>_<part>.mcap`, with `.active` behind it while it is written.
-Every part can be read alone: it repeats all schemas, channels (with the same ids) and metadata, and
-its metadata has `session` and `part`, so that parts can be put in order.
+How a part is called, `names` says; it has `.active` behind it while it is written. Every part can
+be read alone: it repeats all schemas, channels (with the same ids) and metadata, and its metadata
+has `session` and `part`, so that parts can be put in order.
 
 Nothing here waits for the disk: `append` only touches memory, `flush` hands work to a thread.
 Trouble is shown in `state` and `text`, dropped messages are counted, and writing goes on as soon as
@@ -12,7 +12,6 @@ the disk allows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 
 from google.protobuf.message import Message
@@ -22,6 +21,7 @@ from tramstream.config import Recorder
 from tramstream.errors import RecordError
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import NodeHealth
+from tramstream.recorder.names import UTC_OFFSET, WORTH_CORRECTING_NS, PartNames, UtcOffset, parse
 from tramstream.recorder.repair import REDO, repair
 from tramstream.recorder.sink import ACTIVE, Loss, LossBook, Worker, reason
 from tramstream.recorder.space import FreeSpace
@@ -65,8 +65,11 @@ class Recording:
         self._clock = clock
         self._worker = worker or Worker()
         self._values = {**host_metadata(), **(metadata or {})}
-        boot = self._values.get("boot_id", "")[:8]
-        self._values["session"] = f"{vehicle}-{clock.now_ns():x}-{boot}"
+        boot = self._values["boot_id"]
+        self._values["session"] = f"{vehicle}-{clock.now_ns():x}-{boot[:8]}"
+        self.utc = UtcOffset()
+        self._names: PartNames | None = None
+        self._corrected = False
         self._file: RecordFile | None = None
         self._previous: RecordFile | None = None
         self._closing: list[RecordFile] = []
@@ -126,6 +129,8 @@ class Recording:
     ) -> None:
         """Record one message; see `RecordFile.append`."""
         if self._file is None:
+            if self._names is None:
+                self._make_folder()
             if self._stopped:
                 self._losses.add(topic, publish_ns)
                 return
@@ -137,6 +142,10 @@ class Recording:
         if self._folder_text:
             self._make_folder()
         self._check_space()
+        self._see_host()
+        if not self._corrected and self.utc.ns is not None:
+            self._corrected = True
+            self._worker.submit(self._correct_names)
         if self._file is not None:
             if self.space.blocked or self._due():
                 self._end_part()
@@ -193,6 +202,7 @@ class Recording:
             )
         else:
             self._folder_text = ""
+            self._names = PartNames(self.directory, self.vehicle, self._values["boot_id"], self.utc)
 
     def _check_space(self) -> None:
         """Look at the space in the background, one look at a time."""
@@ -220,21 +230,36 @@ class Recording:
         """Begin the next part, in memory."""
         self.part += 1
         self._begun_ns = self._clock.now_ns()
-        number = self.part
-        while (path := self._name(number)).exists() or _active(path).exists():
-            number += 1  # a clock that starts anew at every boot repeats its stamps
+        assert self._names is not None  # the folder is there
+        while (path := self._names.next(self._begun_ns)).exists() or _active(path).exists():
+            pass  # somebody put it there since the folder was looked at
         values = {**self._values, "part": str(self.part)}
         file = RecordFile(path, self.vehicle, values, self._worker)
         if self._previous is not None:
             file.adopt(self._previous)
         return file
 
-    def _name(self, number: int) -> Path:
-        moment = datetime.fromtimestamp(self._begun_ns // S, UTC)
-        return self.directory / f"{self.vehicle}_{moment:%Y%m%dT%H%M%SZ}_{number:02d}.mcap"
+    def _see_host(self) -> None:
+        utc_ns = self._clock.host_utc_ns()
+        if utc_ns is not None:
+            self.utc.see_host(utc_ns, self._clock.now_ns())
+
+    def _correct_names(self) -> None:
+        """Correct the names of parts that were finished before the time was known."""
+        assert self._names is not None
+        try:
+            self.space.sentences.extend(self._names.correct_finished(self._worker.storage))
+        except OSError as error:
+            self._corrected = False  # again at the next flush
+            self.space.sentences.append(f"{self.directory}: {reason(error)}")
 
     def _end_part(self) -> None:
         assert self._file is not None
+        assert self._names is not None
+        offset_ns = self.utc.ns
+        if offset_ns is not None and abs(offset_ns) >= WORTH_CORRECTING_NS:
+            path = self._names.corrected(self._file.path, self._begun_ns)
+            self._file.retitle(path, {UTC_OFFSET: str(offset_ns)})
         self._file.close()
         self._closing.append(self._file)
         self._previous, self._file = self._file, None
@@ -243,7 +268,7 @@ class Recording:
         """Look after files that are being finished; have the others tried `again`."""
         for file in list(self._closing):
             if file.finished:
-                self.space.latest = file.path
+                self.space.latest = parse(file.path.name)
                 for loss in file.take_losses():
                     self._losses.add_all(loss)
                 self._closing.remove(file)

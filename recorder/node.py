@@ -10,10 +10,12 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import config, keys
 from tramstream.bus import Bus, Envelope
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Recorder, Vehicle
 from tramstream.keys import Key
 from tramstream.node import Node
 from tramstream.processor import Ledger
+from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.disk import Recording
 
@@ -72,6 +74,8 @@ class RecorderNode(Node):
             self._ledger.dropped += 1
             return
         self._ledger.delivered += 1
+        if key is keys.GNSS_TIME:
+            self._learn_time(envelope.payload)
         self.recording.append(
             topic,
             key,
@@ -80,6 +84,13 @@ class RecorderNode(Node):
             envelope.publish_ns,
             envelope.sequence,
         )
+
+    def _learn_time(self, payload: bytes) -> None:
+        """Take from a receiver what time it is: for the names of records only."""
+        known = GnssTime.FromString(payload)
+        if known.HasField("gps_time_ns") and known.HasField("leap_seconds"):
+            utc_ns = known.gps_time_ns + (GPS_EPOCH_UNIX_S - known.leap_seconds) * S
+            self.recording.utc.learn(utc_ns, known.stamp_ns)
 
     def _find(self, topic: str) -> Key | None:
         path = keys.split(topic)[1]

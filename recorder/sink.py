@@ -200,7 +200,7 @@ class Sink:
         self._worker.submit(self._work)
 
     def finish(self) -> None:
-        """Once all is written and synced, give the file its final name; again while it refuses."""
+        """Once all is written and synced, name the file `final`; again while the disk refuses."""
         with self._lock:
             if self._stage is Stage.GROWING:
                 self._stage = Stage.ENDING

@@ -1,18 +1,18 @@
-"""Keep space on the disk: below the floor the oldest finished, unprotected record goes first."""
+"""Keep space on the disk: below the floor the oldest finished, unprotected record goes first.
+
+Which is the oldest, the order of boots and parts in the names says (`names`), never a clock.
+"""
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from tramstream.recorder.names import KEEP, PartName, parse
 from tramstream.recorder.sink import reason
 
-KEEP = ".keep"
-"""A file of this ending beside a record (`<name>.mcap.keep`) protects it."""
-_NAME = re.compile(r"^.+_(\d{8}T\d{6}Z)_(\d{2,})\.mcap$")
 _PATIENCE_NS = 60_000_000_000
 """Deleted bytes that somebody still reads come back later; until then nothing else is deleted."""
 
@@ -34,7 +34,7 @@ class FreeSpace:
         self.floor_bytes = floor_bytes
         self.blocked = ""
         self.sentences: deque[str] = deque()
-        self.latest: Path | None = None
+        self.latest: PartName | None = None
         """The running session's last finished part: stays, else a stop would eat its own record."""
         self._free_bytes = free_bytes or _disk_free
         self._refused: set[Path] = set()
@@ -65,11 +65,16 @@ class FreeSpace:
     def _oldest(self) -> Path | None:
         found = []
         for path in self.directory.glob("*.mcap"):
-            name = _NAME.match(path.name)
-            protected = path.with_name(path.name + KEEP).exists()
-            if name and not protected and path != self.latest and path not in self._refused:
-                found.append((name[1], int(name[2]), path.name, path))
-        return min(found)[3] if found else None
+            name = parse(path.name)
+            if name is None or self._is_latest(name) or path in self._refused:
+                continue
+            if not path.with_name(path.name + KEEP).exists():
+                found.append((name, path))
+        return min(found)[1] if found else None
+
+    def _is_latest(self, name: PartName) -> bool:
+        """Whether it is the latest part, whatever its name has been corrected to."""
+        return self.latest is not None and name._replace(start=self.latest.start) == self.latest
 
     def _delete(self, path: Path, free: int, now_ns: int) -> int:
         """Delete `path`; bytes free after it."""

@@ -114,6 +114,7 @@ class RecordFile:
             "software": _SOFTWARE,
             **(metadata or {}),
         }
+        self._values = values
         head = MAGIC + encode(Header("tramstream" if vehicle else "", _SOFTWARE))
         record = b""
         if vehicle:
@@ -251,10 +252,16 @@ class RecordFile:
         self._write()
         self._full = self._live and self._sink.pending_bytes > self._limit_bytes
 
+    def retitle(self, path: Path, facts: Mapping[str, str]) -> None:
+        """Say before `close` what is known by now: the final name, and facts for the metadata."""
+        self._close_chunk()
+        self.path = self._sink.final = path
+        self._put(self.contents.add_metadata({**self._values, **facts}, self._sink.size))
+
     def close(self) -> None:
         """Write the rest and the summary, sync, and give the file its final name.
 
-        A live file gets it in the background: see `finished`; while the disk refuses, call `flush`
+        A live file gets it in the background: see `finished`; while the disk refuses, call `close`
         again, and `abandon` to give up.
 
         Raises

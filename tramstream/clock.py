@@ -29,6 +29,8 @@ from tramstream.errors import ConfigError
 
 S = 1_000_000_000
 """Nanoseconds in a second."""
+GPS_EPOCH_UNIX_S = 315_964_800
+"""1980-01-06, from which GPS time counts, in Unix time."""
 
 
 class VehicleClock:
@@ -42,16 +44,23 @@ class VehicleClock:
         offset_ns: int = 0,
         rate: float = 1.0,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        utc_ns: Callable[[], int] | None = None,
     ) -> None:
         self.offset_ns = offset_ns
         self.rate = rate
         self._monotonic_ns = monotonic_ns
+        real = rate == 1.0 and monotonic_ns is time.monotonic_ns
+        self._utc_ns = utc_ns or (time.time_ns if real else None)
 
     def now_ns(self) -> int:
         monotonic_ns = self._monotonic_ns()
         if self.rate != 1.0:
             monotonic_ns = int(monotonic_ns * self.rate)
         return self.offset_ns + monotonic_ns
+
+    def host_utc_ns(self) -> int | None:
+        """What the host takes for UTC; None for a clock that does not live in the host's time."""
+        return self._utc_ns() if self._utc_ns is not None else None
 
     def sleep_s(self, dt_s: float) -> None:
         """Sleep for `dt_s` seconds of this clock."""

@@ -15,6 +15,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from tramstream.attitude import C_vl, body_rates
+from tramstream.clock import GPS_EPOCH_UNIX_S
 from tramstream.config import NotNegative, Struct, Vector
 from tramstream.ride import Motion
 
@@ -22,8 +23,7 @@ Array = NDArray[np.float64]
 
 LEAP_SECONDS = 18
 """GPS time is ahead of UTC by so much since 2017."""
-GPS_MINUS_UNIX_S = -315_964_800 + LEAP_SECONDS
-"""GPS time counts from 1980-01-06."""
+GPS_MINUS_UNIX_S = LEAP_SECONDS - GPS_EPOCH_UNIX_S
 
 
 class GnssErrors(Struct, frozen=True, kw_only=True):

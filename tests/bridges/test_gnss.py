@@ -19,9 +19,9 @@ from tramstream import keys
 from tramstream.bridges import ubx
 from tramstream.bridges.framing import UBX, Frame, Framer, nmea_frame, rtcm3_frame, ubx_frame
 from tramstream.bridges.gnss import GnssBridge, epoch_times, unix_like_ns
-from tramstream.bridges.gnss_clock import GPS_EPOCH_UNIX_S, WEEK_NS, utc_ns
+from tramstream.bridges.gnss_clock import WEEK_NS, utc_ns
 from tramstream.bridges.ubx_layouts import LAYOUTS
-from tramstream.clock import S
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.keys import Key

@@ -61,10 +61,12 @@ def test_parts_can_be_read_alone_and_together(recording, time, tmp_path):
     assert recording.path is not None
     assert recording.close()
     names = sorted(path.name for path in tmp_path.iterdir())
+    (tmp_path / ".boot").unlink()
     assert names == [
-        "4711_20260921T141320Z_01.mcap",
-        "4711_20260921T141321Z_02.mcap",
-        "4711_20260921T141322Z_03.mcap",
+        ".boot",
+        "4711_b0001-0001_20260921T141320Z.mcap",
+        "4711_b0001-0002_20260921T141321Z.mcap",
+        "4711_b0001-0003_20260921T141322Z.mcap",
     ]
     with open_record(tmp_path) as record:
         assert plain(record.messages()) == plain(sent)
@@ -85,18 +87,17 @@ def test_idle_recording_leaves_no_file(recording, time, tmp_path):
         time.ns += S
         recording.flush()
     assert recording.close()
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == [".boot"]
 
 
-def test_name_taken_by_an_earlier_boot_with_the_same_clock_is_stepped_over(
-    recording, time, tmp_path
-):
-    (tmp_path / "4711_20260921T141320Z_01.mcap").write_bytes(b"old")
+def test_name_that_somebody_took_meanwhile_is_stepped_over(recording, time, tmp_path):
     recording.start()
+    taken = tmp_path / "4711_b0001-0001_20260921T141320Z.mcap"
+    taken.write_bytes(b"old")
     feed(recording, time, traffic(3))
     assert recording.close()
-    assert (tmp_path / "4711_20260921T141320Z_01.mcap").read_bytes() == b"old"
-    assert read(tmp_path / "4711_20260921T141320Z_02.mcap") == plain(traffic(3))
+    assert taken.read_bytes() == b"old"
+    assert read(tmp_path / "4711_b0001-0002_20260921T141320Z.mcap") == plain(traffic(3))
 
 
 def test_start_repairs_what_was_left(recording, tmp_path):
@@ -107,7 +108,7 @@ def test_start_repairs_what_was_left(recording, tmp_path):
     assert len(sentences) == 2
     assert "100 messages" in sentences[0]
     assert "deleted" in sentences[1]
-    assert [path.name for path in tmp_path.iterdir()] == ["4711_a_01.mcap"]
+    assert [path.name for path in tmp_path.glob("*.mcap*")] == ["4711_a_01.mcap"]
     assert read(tmp_path / "4711_a_01.mcap") == plain(traffic(100))
     assert not list(tmp_path.glob(f"*{REDO}"))
 
@@ -223,7 +224,7 @@ def test_what_a_full_disk_never_took_is_counted_at_the_end(recording, time, tmp_
     feed(recording, time, sent[100:])
     assert not recording.close()
     assert sum(loss.count for loss in recording.take_losses()) == 200
-    (left,) = tmp_path.iterdir()
+    (left,) = tmp_path.glob("*.mcap*")
     assert read(left) == plain(sent[:100])
 
 
@@ -289,7 +290,7 @@ def test_folder_that_cannot_be_made_is_told_and_tried_again(tmp_path, time):
     recording.flush()
     feed(recording, time, traffic(10))
     assert recording.close()
-    assert [read(path) for path in (blocker / "records").iterdir()] == [plain(traffic(10))]
+    assert [read(path) for path in (blocker / "records").glob("*.mcap")] == [plain(traffic(10))]
 
 
 WRITER = """
@@ -329,7 +330,7 @@ def run_writer(folder: Path, limit: int) -> list[str]:
 @pytest.mark.live
 def test_file_size_limit_of_the_system_harms_nothing_written(tmp_path):
     closed, dropped = run_writer(tmp_path, 100_000)
-    (left,) = tmp_path.iterdir()
+    (left,) = tmp_path.glob("*.mcap*")
     found = read(left)
     assert closed == "False"
     assert left.stat().st_size <= 100_000
@@ -348,7 +349,7 @@ def test_full_file_system_harms_nothing_written(tmp_path):
         pytest.skip("mount is not allowed here")
     try:
         closed, dropped = run_writer(tmp_path, 0)
-        (left,) = tmp_path.iterdir()
+        (left,) = tmp_path.glob("*.mcap*")
         found = read(left)
         with open_record(left) as record:
             assert not record.damaged

@@ -109,7 +109,7 @@ def check(victim: Victim) -> None:
         worker=Worker(threaded=False),
     )
     recording.start()
-    assert not [path for path in victim.folder.iterdir() if path.suffix != ".mcap"]
+    assert not [path for path in victim.folder.glob("*.mcap*") if path.suffix != ".mcap"]
     last_ns, last_number = victim.last()
     with open_record(victim.folder) as record:
         found = list(record.messages())

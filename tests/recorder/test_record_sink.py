@@ -162,7 +162,7 @@ def drive(steps: Sequence[str]) -> None:
             run.step(step)
         assert run.end()
         assert run.lost == 0
-        found, files = [], sorted(folder.iterdir())
+        found, files = [], sorted(folder.glob("*.mcap*"))
         assert not [path for path in files if path.name.endswith(ACTIVE)]
         for path in files:
             with open_record(path) as record:
