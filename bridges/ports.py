@@ -13,6 +13,7 @@ import select
 import socket
 import termios
 import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -21,6 +22,7 @@ import serial
 
 from tramstream import keys
 from tramstream.bridges import socketcan
+from tramstream.bridges.adis_folding import fold
 from tramstream.bridges.canframe import (
     ERROR,
     EXTENDED,
@@ -35,6 +37,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.config import Odometer, Vehicle
 from tramstream.errors import ConfigError, DeviceError
 from tramstream.keys import Key
+from tramstream.ports import Port
 from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
 WAIT_S = 0.2
@@ -53,16 +56,14 @@ _CURES = {
     errno.ENOENT: "there is no such device; plug it in or correct {field}",
     errno.ENXIO: "there is no device behind this name; plug it in or correct {field}",
     errno.ENODEV: "there is no device behind this name; plug it in or correct {field}",
-    errno.EACCES: "no permission; add this user to the group dialout "
-    "(sudo usermod -aG dialout $USER) and log in again",
-    errno.EPERM: "no permission; add this user to the group dialout "
-    "(sudo usermod -aG dialout $USER) and log in again",
+    errno.EACCES: "no permission; sudo usermod -aG dialout $USER adds this user to the group dialout",
+    errno.EPERM: "no permission; sudo usermod -aG dialout $USER adds this user to the group dialout",
     errno.EBUSY: "another program uses it; stop that one (fuser shows which)",
     errno.EAGAIN: "another program uses it; stop that one (fuser shows which)",
 }
 
 
-class SerialPort:
+class SerialPort(Port):
     """A serial line, 8N1 without flow control, held exclusively.
 
     After the first byte the port waits for `gather_s` and takes what has come by then: a burst of
@@ -76,12 +77,14 @@ class SerialPort:
         baud_rate: int,
         clock: VehicleClock,
         gather_s: float = IMU_GATHER_S,
+        fold: Callable[[RawBytes], RawBytes] = lambda message: message,
     ) -> None:
         self.key = key
         self.device = path
         self.baud_rate = baud_rate
         self.gather_s = gather_s
         self._clock = clock
+        self._fold = fold
         self._line: Any = None
 
     def open(self) -> None:
@@ -112,6 +115,9 @@ class SerialPort:
         data = _drain(descriptor, self.device)
         return RawBytes(stamp_ns=self._clock.now_ns(), device=self.device, data=data)
 
+    def join(self, reads: Sequence[RawBytes]) -> RawBytes:
+        return self._fold(super().join(reads))
+
     def close(self) -> None:
         line, self._line = self._line, None
         if line is not None:
@@ -119,7 +125,7 @@ class SerialPort:
                 line.close()
 
 
-class CanPort:
+class CanPort(Port):
     """A CAN bus through any interface of python-can, read in gathers of up to `CAN_GATHER_S`.
 
     socketcan and slcan are opened by python-can and read here: one wake-up for many frames, losses
@@ -327,19 +333,18 @@ class CanPort:
 
 def gnss_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
     """Port of the receiver, unopened."""
-    if vehicle.gnss is None:
-        raise ConfigError("$.gnss: missing; it names the receiver's serial line")
     gnss = vehicle.gnss
+    if gnss is None:
+        raise ConfigError("$.gnss: missing; it names the receiver's serial line")
     return SerialPort(keys.GNSS_BYTES, gnss.device, gnss.baud_rate, clock, GNSS_GATHER_S)
 
 
 def imu_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
     """Port of the microcontroller in front of the IMU, unopened."""
-    if vehicle.imu is None:
+    imu = vehicle.imu
+    if imu is None:
         raise ConfigError("$.imu: missing; it names the IMU's serial line")
-    return SerialPort(
-        keys.IMU_BYTES, vehicle.imu.device, vehicle.imu.baud_rate, clock, IMU_GATHER_S
-    )
+    return SerialPort(keys.IMU_BYTES, imu.device, imu.baud_rate, clock, IMU_GATHER_S, fold)
 
 
 def odometer_port(vehicle: Vehicle, clock: VehicleClock) -> CanPort:

@@ -92,9 +92,11 @@ class LocalisationFilter(Processor):
         if message is None:
             return []
         self._now_ns = estimate.stamp_ns
+        location = _location(message) if self._now_count % LOCATION_EVERY == 0 else None
+        message.ClearField("covariance")  # half of what a record held, and in `EST_STATE` as well
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
-        if self._now_count % LOCATION_EVERY == 0:
-            made.append(self.emit(keys.EST_LOCATION, _location(message), estimate.stamp_ns))
+        if location is not None:
+            made.append(self.emit(keys.EST_LOCATION, location, estimate.stamp_ns))
         self._now_count += 1
         return made
 

@@ -10,6 +10,7 @@ from tramstream import keys
 from tramstream.bus import Bus, Envelope, LocalBus
 from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
+from tramstream.ports import join_reads
 from tramstream.proto.raw_pb2 import RawBytes
 
 START_NS = 1_700_000_000 * S
@@ -86,6 +87,9 @@ class FakePort:
 
     def close(self) -> None:
         self.is_open = False
+
+    def join(self, reads: Any) -> Any:
+        return join_reads(reads)
 
 
 def raw(data: bytes, at_s: float = 0.0) -> RawBytes:

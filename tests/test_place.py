@@ -13,6 +13,8 @@ from tramstream.place import Places
 
 LEVEL = LocalLevel.at_deg(50.0, 14.4, 250.0)
 TENTH_MM_DEG = math.degrees(1e-4 / 6.4e6)
+SINGLE = 6e-8
+"""Half a unit in the last of 24 bits."""
 STD = np.array([0.3, 0.2, 0.5, 0.1, 0.01, 0.02, 0.03])
 
 
@@ -42,13 +44,28 @@ def test_deviations_are_along_and_across_the_vehicle() -> None:
     message = Places(LEVEL).describe(estimate((0.0, 0.0, 0.0), math.pi / 2), 2.0)
     assert message is not None
     assert (message.along_std_m, message.across_std_m) == pytest.approx((0.2, 0.3))
-    assert message.protection_along_m == 2.0 * message.along_std_m
-    assert message.protection_across_m == 2.0 * message.across_std_m
+    assert message.protection_along_m == pytest.approx(2.0 * message.along_std_m, rel=SINGLE)
+    assert message.protection_across_m == pytest.approx(2.0 * message.across_std_m, rel=SINGLE)
     others = (message.up_std_m, message.speed_std_mps, message.yaw_std_rad)
     assert others == pytest.approx((0.5, 0.1, 0.03))
-    assert (message.speed_mps, message.acceleration_mps2) == (12.0, 0.7)
-    assert message.yaw_rate_radps == 0.05
-    np.testing.assert_array_equal(message.covariance, np.diag(STD**2)[np.triu_indices(7)])
+    said = (message.speed_mps, message.acceleration_mps2, message.yaw_rate_radps)
+    assert said == pytest.approx((12.0, 0.7, 0.05), rel=SINGLE)
+    expected = np.diag(STD**2)[np.triu_indices(7)]
+    np.testing.assert_allclose(message.covariance, expected, rtol=SINGLE, atol=0.0)
+
+
+def test_numbers_beside_the_place_have_the_digits_of_a_single() -> None:
+    """What is beyond them is noise that takes room in every record."""
+    message = Places(LEVEL).describe(estimate((1.0, 2.0, 3.0)), 3.29)
+    assert message is not None
+    numbers = [
+        value
+        for field, value in message.ListFields()
+        if field.name.endswith(("_m", "_mps", "_mps2", "_rad", "_radps"))
+        and "height" not in field.name
+    ]
+    for number in [*numbers, *message.covariance]:
+        assert float(np.float32(number)) == number
 
 
 def test_without_a_heading_any_direction_may_be_the_worst() -> None:

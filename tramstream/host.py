@@ -20,7 +20,7 @@ from tramstream.bus import Bus, Envelope
 from tramstream.clock import S
 from tramstream.keys import Key
 from tramstream.node import Node
-from tramstream.ports import Port, PortReader, join_reads
+from tramstream.ports import Port, PortReader
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
@@ -213,11 +213,11 @@ class ProcessorNode(Node):
                 self.fault(error)
 
     def publish_raw(self) -> None:
-        for path, reads in self._raw.items():
+        for reader in self.readers:
+            key = reader.port.key
+            reads = self._raw.get(key.path)
             if reads:
-                key = keys.find(path)
-                assert key is not None
-                self.publish_numbered(key, join_reads(reads))
+                self.publish_numbered(key, reader.port.join(reads))
                 reads.clear()
 
     def publish_numbered(self, key: Key, message: Any) -> None:

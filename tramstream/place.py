@@ -3,6 +3,9 @@
 The exact conversion (`geodesy`) takes tens of microseconds. A vehicle moves a metre or two between
 estimates, so it is done once every `STEP_M` and continued from there by the radii of curvature.
 Against the exact one that is good to 0.1 mm.
+
+All numbers but the place itself are published with the 24 bits of a single, about seven digits: the
+other 29 bits of a double are noise that no compression takes out of a record, 60 MB an hour.
 """
 
 from __future__ import annotations
@@ -96,6 +99,8 @@ def _describe(
         for j in range(i, 7):
             out[k] = P[i, j]
             k += 1
+    for k in range(3, SIZE):
+        out[k] = np.float32(out[k])
     fill(encoded, _PLACES, out)
     return DESCRIBED
 

@@ -42,6 +42,13 @@ class Port(Protocol):
     def close(self) -> None:
         """Close; may be called twice."""
 
+    def join(self, reads: Sequence[Any]) -> Any:
+        """One message of several consecutive reads, as it is published.
+
+        A port may fold its device's bytes, so that they take less room in a record.
+        """
+        return join_reads(reads)
+
 
 class PortReader:
     """Thread that opens a port, reads it into `deliver`, and opens it again when it is lost.

@@ -235,7 +235,7 @@ def test_slcan_adapter_on_a_serial_line_is_opened_read_and_reopened(pty: Pty) ->
     port = can_port("slcan", pty.link, bitrate=500_000)
     for data in (b"\x11", b"\x22"):
         port.open()
-        assert b"S6\r" in os.read(pty.master, 1000)
+        until(lambda: os.read(pty.master, 1000), lambda got: b"S6\r" in b"".join(got))
         pty.send(b"\r\a\rt0AA1" + data.hex().encode() + b"\rT18FF0A310\rgarbage\rt0A")
         messages = until(port.read, lambda got: len(contents(got)) >= 3)
         pty.send(b"A0\r")

@@ -21,20 +21,24 @@ CAN_FLAG_REMOTE: CanFlag
 CAN_FLAG_FD: CanFlag
 
 class RawBytes(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "device", "data", "read_length", "read_offset_ns")
+    __slots__ = ("stamp_ns", "sequence", "device", "data", "read_length", "read_offset_ns", "folding", "folded_from")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     DEVICE_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
     READ_LENGTH_FIELD_NUMBER: _ClassVar[int]
     READ_OFFSET_NS_FIELD_NUMBER: _ClassVar[int]
+    FOLDING_FIELD_NUMBER: _ClassVar[int]
+    FOLDED_FROM_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     device: str
     data: bytes
     read_length: _containers.RepeatedScalarFieldContainer[int]
     read_offset_ns: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., data: _Optional[bytes] = ..., read_length: _Optional[_Iterable[int]] = ..., read_offset_ns: _Optional[_Iterable[int]] = ...) -> None: ...
+    folding: str
+    folded_from: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., data: _Optional[bytes] = ..., read_length: _Optional[_Iterable[int]] = ..., read_offset_ns: _Optional[_Iterable[int]] = ..., folding: _Optional[str] = ..., folded_from: _Optional[int] = ...) -> None: ...
 
 class CanFrames(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "device", "offset_ns", "id", "flags", "data")
