@@ -56,8 +56,8 @@ _CURES = {
     errno.ENOENT: "there is no such device; plug it in or correct {field}",
     errno.ENXIO: "there is no device behind this name; plug it in or correct {field}",
     errno.ENODEV: "there is no device behind this name; plug it in or correct {field}",
-    errno.EACCES: "no permission; sudo usermod -aG dialout $USER adds this user to the group dialout",
-    errno.EPERM: "no permission; sudo usermod -aG dialout $USER adds this user to the group dialout",
+    errno.EACCES: "no permission; add this user to the group dialout (usermod -aG dialout)",
+    errno.EPERM: "no permission; add this user to the group dialout (usermod -aG dialout)",
     errno.EBUSY: "another program uses it; stop that one (fuser shows which)",
     errno.EAGAIN: "another program uses it; stop that one (fuser shows which)",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,16 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from tramstream import keys
+from tramstream import keys, machine_code
 from tramstream.bus import Envelope, ZenohBus
+from tramstream.cli.bench_disk import Written, own_disk
 from tramstream.cli.bench_stages import REPEATS, Figure, median_s
 from tramstream.cli.demo import configuration
+from tramstream.cli.session import say
 from tramstream.clock import S, VehicleClock
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.rerun import Rerun, rerun
 from tramstream.ring import Ring
 
 PINGS = 2000
+END_S = 120.0
+"""Nobody waits so long for the end of a run but on a machine with much else to do."""
 WARM_UP_S = 5.0
 """Before that processes are still importing and clocks are being fitted."""
 STEPS_HZ = 100.0
@@ -87,12 +92,15 @@ def _ping(bus: ZenohBus, ring: Ring[Envelope]) -> list[float]:
 
 def live_pipeline(duration_s: float) -> list[Figure]:
     """The demo's vehicle for `duration_s` after warming up, then its record reprocessed."""
+    machine_code.ensure(say)  # not within the measurement
     with tempfile.TemporaryDirectory(prefix="tramstream-", dir="/tmp") as name:
         folder = Path(name)
         config = folder / "bench.toml"
         config.write_text(configuration(folder, seed=1))
-        usage = _measure(config, duration_s)
-        (path,) = (folder / "records").glob("*.mcap")
+        with own_disk(folder / "records") as written:
+            usage = _measure(config, duration_s, written)
+            (found,) = (folder / "records").glob("*.mcap")
+            path = Path(shutil.copy(found, folder / "live.mcap"))
         with open_record(path) as record:
             latency = _latency(record)
         again = reprocessing(path, folder / "again.mcap")
@@ -111,6 +119,7 @@ def live_pipeline(duration_s: float) -> list[Figure]:
         Figure("live_pipeline_pss_mb", pss_mb, 200.0, False),
         Figure("live_pipeline_rss_sum_mb", rss_mb),
         Figure("live_simulators_core_percent", simulators),
+        *usage.writing,
         *latency,
         *again,
     ]
@@ -147,18 +156,20 @@ def _own_cpu_s() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def _measure(config: Path, duration_s: float) -> _Usage:
+def _measure(config: Path, duration_s: float, written: Written) -> _Usage:
     """Run the vehicle as a user would, and watch its processes."""
     command = [sys.executable, "-m", "tramstream.cli.main", "run", str(config)]
     program = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
         time.sleep(WARM_UP_S)
         usage = _Usage(program.pid)
+        before = written()
         time.sleep(duration_s)
         usage.end()
+        usage.writing = written().since(before)
     finally:
         program.send_signal(signal.SIGINT)
-        program.wait(30)
+        program.wait(END_S)
     return usage
 
 
@@ -197,6 +208,7 @@ class _Usage:
         self.cpu_percent: dict[str, float] = {}
         self.rss_mb: dict[str, float] = {}
         self.pss_mb: dict[str, float] = {}
+        self.writing: list[Figure] = []
 
     def end(self) -> None:
         """Take the second reading."""

@@ -58,12 +58,9 @@ def test_numbers_beside_the_place_have_the_digits_of_a_single() -> None:
     """What is beyond them is noise that takes room in every record."""
     message = Places(LEVEL).describe(estimate((1.0, 2.0, 3.0)), 3.29)
     assert message is not None
-    numbers = [
-        value
-        for field, value in message.ListFields()
-        if field.name.endswith(("_m", "_mps", "_mps2", "_rad", "_radps"))
-        and "height" not in field.name
-    ]
+    units = ("std_m", "along_m", "across_m", "_mps", "_mps2", "_rad", "_radps")
+    numbers = [value for field, value in message.ListFields() if field.name.endswith(units)]
+    assert len(numbers) == 13
     for number in [*numbers, *message.covariance]:
         assert float(np.float32(number)) == number
 
