@@ -161,6 +161,8 @@ def _measure(config: Path, duration_s: float, written: Written) -> _Usage:
     command = [sys.executable, "-m", "tramstream.cli.main", "run", str(config)]
     program = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
+        while not written().file_bytes and program.poll() is None:
+            time.sleep(0.1)
         time.sleep(WARM_UP_S)
         usage = _Usage(program.pid)
         before = written()
