@@ -86,7 +86,7 @@ def delivered(data: bytes) -> list[bytes]:
     return [item.raw for item in run([data]) if isinstance(item, Frame)]
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(streams, st.lists(st.integers(0, 400), max_size=8))
 def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: list[int]) -> None:
     whole = run([stream])
@@ -94,7 +94,7 @@ def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: lis
     assert run([stream[i : i + 1] for i in range(len(stream))]) == whole
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(streams)
 def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
     at = 0
@@ -108,7 +108,7 @@ def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
     assert at == len(stream)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(streams, max_size=5), st.integers(0, 5))
 def test_bytes_balance_at_any_time_and_memory_can_be_moved(
     pieces: list[bytes], moved_at: int
@@ -226,13 +226,11 @@ def test_every_truncation_keeps_the_whole_frames() -> None:
         ]  # fmt: skip
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=1026))
 def test_crc24q_agrees_with_pyrtcm(data: bytes) -> None:
     assert crc24q(data) == calc_crc24q(data)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=3000))
 def test_fletcher_checksum_agrees_with_pyubx2(payload: bytes) -> None:
     frame = ubx_frame(UNKNOWN, payload)

@@ -294,7 +294,7 @@ def mixed_stream() -> bytes:
     return b"".join(parts)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.integers(1, 900), min_size=1, max_size=30), st.integers(0, 30))
 def test_cuts_and_restarts_change_stamps_only(sizes: list[int], moved_at: int) -> None:
     data = mixed_stream()
@@ -475,7 +475,7 @@ def test_utc_of_impossible_dates_is_unknown() -> None:
 # dirt ------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.binary(max_size=200), max_size=6))
 def test_random_bytes_never_raise(pieces: list[bytes]) -> None:
     bridge = GnssBridge(VEHICLE)

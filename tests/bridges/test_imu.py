@@ -137,7 +137,7 @@ def test_diagnostics_of_all_samples_are_joined_and_temperature_is_the_last() -> 
 
 
 @given(st.lists(st.integers(0, 90 * FRAME_LENGTH), max_size=30), st.integers(1, 200))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_cut_of_the_bytes_gives_the_same_columns(cuts: list[int], batch: int) -> None:
     device = Device(sequence=2**32 - 30)
     data = device.frames(30) + b"\xad\x65noise" + device.frames(20)

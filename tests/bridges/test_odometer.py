@@ -142,7 +142,7 @@ def test_wheel_speeds_of_the_car_are_those_of_its_reference(data_dir: Path) -> N
 
 
 @given(payload=st.binary(min_size=8, max_size=64))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_fields_are_those_of_cantools_for_any_payload(
     tmp_path_factory: pytest.TempPathFactory, payload: bytes
 ) -> None:
@@ -153,7 +153,7 @@ def test_fields_are_those_of_cantools_for_any_payload(
 
 @pytest.mark.realdata
 @given(payload=st.binary(min_size=8, max_size=8))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_fields_of_a_real_dbc_are_those_of_cantools(data_dir: Path, payload: bytes) -> None:
     check_against_cantools(data_dir / "can" / "toyota_2017.dbc", payload)
 
@@ -346,7 +346,7 @@ def test_unusable_frames_are_counted_by_reason_and_never_raise(dbc: str) -> None
         max_size=30,
     )
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_no_frame_raises_and_the_ledgers_hold(
     tmp_path_factory: pytest.TempPathFactory, items: list[tuple[int, int, bytes]]
 ) -> None:

@@ -370,7 +370,7 @@ def eventful() -> list[Sample]:
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_restored_filter_goes_on_with_the_same_bytes(data: st.DataObject) -> None:
     samples = eventful()
