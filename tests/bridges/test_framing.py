@@ -144,6 +144,30 @@ def test_frame_survives_lone_sync_byte() -> None:
         assert delivered(lone + PVT) == [PVT]
 
 
+FALSE_STARTS = (b"\xb5\x62", b"$G", b"!A", b"\xd3\x00", b"\xd3\x03")
+WHOLE = (PVT, GGA, CORRECTION, RAWX)
+
+
+@pytest.mark.parametrize("behind", [1, 2])
+@pytest.mark.parametrize("frame", WHOLE, ids=("UBX", "NMEA", "RTCM3", "counted UBX"))
+@pytest.mark.parametrize("false", FALSE_STARTS, ids=("UBX", "NMEA $", "NMEA !", "RTCM3", "long"))
+def test_frame_that_begins_right_behind_a_false_start_is_delivered(
+    false: bytes, frame: bytes, behind: int
+) -> None:
+    """However long the frame is that the false start claims: it is there once that has come."""
+    assert delivered(false[:behind] + frame + bytes(2048)) == [frame]
+
+
+@given(
+    st.lists(st.sampled_from([*FALSE_STARTS, b"\xb5", b"$", b"!", b"\xd3"]), max_size=9),
+    st.sampled_from(WHOLE),
+)
+def test_frame_behind_any_nesting_of_false_starts_is_delivered(
+    false: list[bytes], frame: bytes
+) -> None:
+    assert delivered(b"".join(false) + frame) == [frame]
+
+
 def test_intact_frame_behind_a_corrupt_header_is_delivered() -> None:
     for bit in range(16, 48):  # class, identifier and length of the first frame
         assert delivered(flip(RAWX, bit) + PVT + GGA)[-2:] == [PVT, GGA]

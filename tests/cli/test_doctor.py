@@ -183,16 +183,15 @@ def test_program_that_has_the_device_is_named(tmp_path):
 
 @pytest.mark.live
 @pytest.mark.parametrize(
-    ("data_of", "state", "text"),
+    ("data_of", "listen_s", "state", "text"),
     [
-        (nmea, State.OK, "speaks: raw/gnss"),
-        (lambda number: b"\x00\x81" * 50, State.WARNING, "nothing that gnss understands"),
-        (lambda number: b"", State.WARNING, "silent"),
+        (nmea, HANG_S, State.OK, "speaks: raw/gnss"),
+        (lambda number: b"\x00\x81" * 50, 3.0, State.WARNING, "nothing that gnss understands"),
+        (lambda number: b"", 0.3, State.WARNING, "silent"),
     ],
 )
-def test_device_is_listened_to(tmp_path, monkeypatch, data_of, state, text):
+def test_device_is_listened_to(tmp_path, monkeypatch, data_of, listen_s, state, text):
     # As long as it takes where something shall be understood; silence need not be listened to.
-    listen_s = {"speaks": HANG_S, "nothing": 3.0, "silent": 0.3}[text.split()[0]]
     monkeypatch.setattr(checkup_devices, "LISTEN_S", listen_s)
     terminal = PseudoTerminal(tmp_path / "port")
     terminal.open()
