@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import struct
 from collections import Counter
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -145,6 +146,31 @@ def test_covariance_of_the_same_epoch_is_used_and_turned_to_east_north_up() -> N
     expected = C_enu_ned @ ned @ C_enu_ned.T
     np.testing.assert_array_equal(np.reshape(first.position_covariance, (3, 3)), expected)
     assert second.position_covariance_type == LocationFix.DIAGONAL_KNOWN
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 30.0, 90.0, 120.0])
+def test_error_ellipse_of_the_receiver_points_where_it_does(azimuth_deg: float) -> None:
+    """3 m along an azimuth, 1 m across, 5 m in height, in the bytes of the interface description.
+
+    u-blox F9 HPG 1.32, UBX-22008968, section 3.15.1 (UBX-NAV-COV): iTOW, version, two validity
+    flags, nine reserved bytes, then NN, NE, ND, EE, ED, DD of the position, of the velocity.
+    """
+    azimuth = np.deg2rad(azimuth_deg)
+    along_ned = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    across_ned = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    ned = 9.0 * np.outer(along_ned, along_ned) + np.outer(across_ned, across_ned)
+    ned[2, 2] = 25.0
+    itow = START_NS % WEEK_NS // MS
+    payload = struct.pack("<IBBB9x12f", itow, 0, 1, 0, *ned[np.triu_indices(3)], *[0.0] * 6)
+    out = GnssBridge(VEHICLE).step(raw(ubx_frame(0x0136, payload) + solution(START_NS), BOOT_NS))
+    (location,) = (sample.message for sample in on(out, keys.GNSS_LOCATION))
+    enu = np.reshape(location.position_covariance, (3, 3))
+    along_enu = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+    across_enu = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    up_enu = np.array([0.0, 0.0, 1.0])
+    variances = [axis @ enu @ axis for axis in (along_enu, across_enu, up_enu)]
+    assert variances == pytest.approx([9.0, 1.0, 25.0], rel=1e-6)
+    np.testing.assert_allclose(enu @ along_enu, 9.0 * along_enu, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import os
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
 from live import command, environment, finished, short_folder
 
 from tramstream import keys
 from tramstream.bus import Envelope, ZenohBus
+from tramstream.cli.main import main
 from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -23,10 +28,30 @@ START_NS = 1_790_000_000 * S
 
 
 def tramstream(
-    *arguments: object, runtime_dir: Path = Path("/nonexistent"), **more: str
+    *arguments: object, runtime_dir: Path | None = None, **more: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command line to its end, whatever its status."""
-    return finished(command(*arguments), env=environment(runtime_dir, **more))
+    """Run the command line to its end, whatever its status.
+
+    With a runtime folder, where a bus may be, in a process of its own; else in this one, for a
+    process takes a second to begin.
+    """
+    if runtime_dir is not None:
+        return finished(command(*arguments), env=environment(runtime_dir, **more))
+    words = ["tramstream", *map(str, arguments)]
+    out, errors = (io.TextIOWrapper(io.BytesIO(), write_through=True) for _ in range(2))
+    with (
+        patch.dict(os.environ, environment(Path("/nonexistent"), **more)),
+        patch.object(sys, "argv", words),
+        redirect_stdout(out),
+        redirect_stderr(errors),
+    ):
+        try:
+            main()
+            status = 0
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    texts = [stream.buffer.getvalue().decode() for stream in (out, errors)]
+    return subprocess.CompletedProcess(words, status, *texts)
 
 
 def fix(number: int, stamp_ns: int = START_NS) -> GnssFix:
