@@ -149,6 +149,37 @@ def test_single_impossible_stamp_is_no_jump() -> None:
     assert fit.host_ns(20 * S) == pytest.approx(truth.host_ns(20 * S), abs=US)
 
 
+def test_jump_that_no_delay_explains_is_believed_after_five_arrivals() -> None:
+    """A device clock that jumps ahead makes arrivals come before what they are stamped with."""
+    fit, truth = ClockFit(), Truth(0.0)
+    feed(fit, truth, 100, 20, np.zeros(2000))
+    for count in range(1, ClockFit.JUMP_ARRIVALS + 1):
+        assert fit.restarts == 0
+        fit.add((50 * S) + count * 10 * MS, truth.host_ns(20 * S + count * 10 * MS))
+    assert fit.restarts == 1
+
+
+def test_jump_that_a_delay_could_be_is_believed_after_a_second_on_end() -> None:
+    fit, truth = ClockFit(), Truth(0.0)
+    feed(fit, truth, 100, 20, np.zeros(2000))
+    for number in range(101):
+        assert fit.restarts == 0
+        fit.add((5 * S) + number * 10 * MS, truth.host_ns(20 * S + number * 10 * MS))
+    assert fit.restarts == 1
+
+
+@pytest.mark.parametrize("off_s", [30, -10])
+def test_impossible_stamps_now_and_then_are_no_jump_however_many(off_s: int) -> None:
+    fit, truth = ClockFit(), Truth(0.0)
+    feed(fit, truth, 100, 20, np.zeros(2000))
+    for number in range(2000, 3000):
+        device_ns = number * 10 * MS
+        wrong_ns = off_s * S if number % ClockFit.JUMP_ARRIVALS else 0
+        fit.add(device_ns + wrong_ns, truth.host_ns(device_ns))
+    assert fit.restarts == 0
+    assert fit.host_ns(30 * S) == pytest.approx(truth.host_ns(30 * S), abs=US)
+
+
 def test_fit_survives_silence_of_an_hour() -> None:
     fit, truth = ClockFit(), Truth(50e-6)
     feed(fit, truth, 100, 60, exponential_ns(3, 2 * MS))
