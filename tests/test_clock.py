@@ -89,6 +89,23 @@ def test_constant_delay_is_fitted_to_the_nanosecond_scale() -> None:
     assert fit.offset_ns == pytest.approx(truth.host_ns(60 * S) - 60 * S, abs=5 * US)
 
 
+@pytest.mark.parametrize("change", [-100e-6, 100e-6])
+def test_crystal_that_warms_up_is_followed_once_its_old_rate_is_out_of_the_window(
+    change: float,
+) -> None:
+    """The window lasts 32 s; what came before it has no say, nor is it kept."""
+    fit, before = ClockFit(), Truth(0.0)
+    feed(fit, before, 100, 60, np.zeros(6000))
+    after = Truth(change, start_ns=60 * S)
+    for number in range(6000, 13_000):
+        device_ns = number * 10 * MS
+        truth_ns = after.host_ns(device_ns) + 60 * S
+        fit.add(device_ns, truth_ns)
+    assert fit.host_ns(device_ns) == pytest.approx(truth_ns, abs=20 * US)
+    assert fit.skew == pytest.approx(change, abs=1e-6)
+    assert len(fit.snapshot()["minima"]) <= fit.buckets
+
+
 def test_late_arrivals_do_not_move_the_line() -> None:
     clean, dirty, truth = ClockFit(), ClockFit(), Truth(30e-6)
     delays_ns = np.zeros(6000)
