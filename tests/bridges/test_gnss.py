@@ -20,7 +20,7 @@ from tramstream import keys
 from tramstream.bridges import ubx
 from tramstream.bridges.framing import UBX, Frame, Framer, nmea_frame, rtcm3_frame, ubx_frame
 from tramstream.bridges.gnss import GnssBridge, epoch_times, unix_like_ns
-from tramstream.bridges.gnss_clock import WEEK_NS, utc_ns
+from tramstream.bridges.gnss_clock import WEEK_NS, GpsTimeline, utc_ns
 from tramstream.bridges.ubx_layouts import LAYOUTS
 from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
@@ -429,6 +429,28 @@ def test_week_rolls_over_between_two_epochs() -> None:
             assert len(stamps) == 1
     assert times == [0] * 10
     assert bridge.clock.fit.restarts == 0
+
+
+def test_delay_of_an_epoch_is_that_of_its_first_message() -> None:
+    """What follows in the burst waited for it: 50 ms that are no delay of the receiver's clock."""
+    bridge = GnssBridge(VEHICLE)
+    for number in range(200):
+        gps_ns = START_NS + number * S // 5
+        arrival_ns = BOOT_NS + number * S // 5 + round(DELAY_S * S + 100 * BYTE_NS)
+        bridge.step(raw(solution(gps_ns), arrival_ns))
+        rest = ubx.encode("NAV-EOE", {"iTOW": gps_ns % WEEK_NS // MS})
+        bridge.step(raw(rest, arrival_ns + 50 * MS))
+    assert bridge.device_counters()["clock_residual_s"] == pytest.approx(0.0, abs=1e-3)
+
+
+@given(st.integers(1000 * WEEK_NS, 3000 * WEEK_NS), st.integers(0, WEEK_NS - 1))
+def test_time_of_week_is_that_of_the_week_that_is_nearest(reference_ns: int, tow_ns: int) -> None:
+    timeline = GpsTimeline()
+    timeline.reference_ns = reference_ns
+    found_ns = timeline.near(tow_ns)
+    assert found_ns is not None
+    assert found_ns % WEEK_NS == tow_ns
+    assert abs(found_ns - reference_ns) <= WEEK_NS // 2
 
 
 @pytest.mark.parametrize("jump_s", [-3600, -10, -0.6, 0.6, 10, 3600, 7 * 86400])
