@@ -132,6 +132,34 @@ def test_fix_is_published_twice_with_the_receivers_own_digits() -> None:
     assert diagonal == pytest.approx([0.9**2 / 2, 0.9**2 / 2, 1.5**2])
 
 
+@pytest.mark.parametrize("heading_is_valid", [False, True])
+@pytest.mark.parametrize(
+    ("solution_bits", "carrier"), [(0, GnssFix.NONE), (1, GnssFix.FLOAT), (2, GnssFix.FIXED)]
+)
+def test_carrier_phase_solution_is_told_by_bits_6_and_7_alone(
+    solution_bits: int, carrier: Any, heading_is_valid: bool
+) -> None:
+    """UBX-NAV-PVT, flags: carrSoln in bits 7 and 6, headVehValid in bit 5, gnssFixOK in bit 0."""
+    flags = solution_bits << 6 | heading_is_valid << 5 | 1
+    data = solution(START_NS, flags=flags, headVeh=123.0)
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+    assert sample.message.carrier == carrier
+    assert sample.message.HasField("heading_vehicle_deg") == heading_is_valid
+
+
+@pytest.mark.parametrize("known", [(), ("Roll",), ("Heading",), ("Pitch", "Heading")])
+def test_angle_is_known_where_its_own_accuracy_is(known: tuple[str, ...]) -> None:
+    """UBX-NAV-ATT: an accuracy of zero means that the angle is not known."""
+    fields = {"iTOW": START_NS % WEEK_NS // MS, "roll": 1.0, "pitch": 2.0, "heading": 3.0}
+    accuracies = {f"acc{name}": 0.5 if name in known else 0.0 for name in ("Roll", "Pitch")}
+    accuracies["accHeading"] = 0.5 if "Heading" in known else 0.0
+    data = ubx.encode("NAV-ATT", fields | accuracies)
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_ATTITUDE)
+    told = {name for name in ("Roll", "Pitch", "Heading")
+            if sample.message.HasField(f"{name.lower()}_deg")}  # fmt: skip
+    assert told == set(known)
+
+
 def test_covariance_of_the_same_epoch_is_used_and_turned_to_east_north_up() -> None:
     itow = START_NS % WEEK_NS // MS
     values = dict(zip(("NN", "NE", "ND", "EE", "ED", "DD"), (4, 1, 0.5, 9, 0.25, 16), strict=True))
