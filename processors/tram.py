@@ -215,11 +215,12 @@ class TramLocaliser:
 
     def _place_again(self, navigation: Navigation) -> None:
         """Nothing is known of the place but the last fix, and how far that may be."""
-        ekf, fix, std = navigation.ekf, self._last_fix, 1000.0
+        ekf, fix, std, std_up = navigation.ekf, self._last_fix, 1000.0, 1000.0
         if fix is not None:
             ekf.memory[Ix.EAST : Ix.UP + 1] = antenna_l(fix, navigation.level)
-            std = math.hypot(3.0 * navigation.accuracy_m(fix), self._way_m)
-        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std))
+            stated = navigation.accuracies_m(fix)
+            std, std_up = (math.hypot(3.0 * each, self._way_m) for each in stated)
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std_up))
         ekf.memory[Ix.SPEED] = 0.0
         ekf.forget((Ix.SPEED,), (0.0,))
 
@@ -306,11 +307,11 @@ class TramLocaliser:
         if self._search is not None and self._search.trying:
             return estimates.without_heading(estimate, self._lever_arm_m, of_antenna=False)
         speed_mps = self._standstill.speed_over_ground_mps
-        std_m = math.hypot(navigation.accuracy_m(fix), self._way_m)
+        std_m, std_up_m = (math.hypot(a, self._way_m) for a in navigation.accuracies_m(fix))
         age_s = (self._stamp_ns - fix.stamp_ns) / S
         antenna = antenna_l(fix, navigation.level)
         return estimates.at_fix(
-            estimate, antenna, std_m, speed_mps, min(age_s, 2.0), self._lever_arm_m
+            estimate, antenna, (std_m, std_up_m), speed_mps, min(age_s, 2.0), self._lever_arm_m
         )
 
     def constrain(self, on_track: OnTrack) -> None:

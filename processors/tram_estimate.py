@@ -81,19 +81,23 @@ def without_heading(
 def at_fix(
     estimate: Estimate,
     p_l: tuple[float, float, float],
-    std_m: float,
+    stds_m: tuple[float, float],
     speed_mps: float,
     age_s: float,
     lever_arm_m: Sequence[float],
 ) -> Estimate:
-    """Say of a vehicle that moves, with its heading unknown: where the last fix was."""
+    """Say of a vehicle that moves, with its heading unknown: where the last fix was.
+
+    `stds_m` are the fix's deviations, of each horizontal axis and of the height.
+    """
     moved = without_heading(estimate, lever_arm_m)
     covariance = moved.covariance
     x, y, z = lever_arm_m
     moved.motion[:4] = (p_l[0], p_l[1], p_l[2] - z, speed_mps)
     covariance[:4, :] = covariance[:, :4] = 0.0
-    variance = std_m**2 + (speed_mps * age_s) ** 2 + x * x + y * y
-    covariance[:4, :4] = np.diag([variance, variance, variance, max(1.0, speed_mps) ** 2])
+    way_m2 = (speed_mps * age_s) ** 2
+    level, upright = stds_m[0] ** 2 + way_m2 + x * x + y * y, stds_m[1] ** 2 + way_m2
+    covariance[:4, :4] = np.diag([level, level, upright, max(1.0, speed_mps) ** 2])
     return moved
 
 

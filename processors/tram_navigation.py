@@ -286,7 +286,11 @@ class Navigation:
 
     def accuracy_m(self, fix: GnssFix) -> float:
         """Deviation of a fix on each horizontal axis."""
-        return deviations(fix, self.fixes.floor_m)[0]
+        return self.accuracies_m(fix)[0]
+
+    def accuracies_m(self, fix: GnssFix) -> tuple[float, float]:
+        """Deviation of a fix on each horizontal axis, and of its height."""
+        return deviations(fix, self.fixes.floor_m)
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:

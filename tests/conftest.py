@@ -3,15 +3,56 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
+from hypothesis import HealthCheck, settings
+from live import until
 
 if TYPE_CHECKING:
     from prague import Prague
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+MARK = "TRAMSTREAM_TEST_RUN"
+"""Environment variable by which a process is known to be this run's, whoever its parent is."""
+
+# A busy machine is slow, not wrong: no example has a time, and making examples may be slow. What
+# failed is printed as a line that repeats it.
+settings.register_profile(
+    "house", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("house")
+
+
+def pytest_configure() -> None:
+    os.environ[MARK] = str(os.getpid())
+
+
+def _left() -> list[str]:
+    """Command lines of processes that tests have begun and not ended."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(MARK) == str(os.getpid()) and not _serves(process):
+                found.append(f"{process.pid}: {' '.join(process.cmdline())}")
+        except (psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
+            continue
+    return found
+
+
+def _serves(process: psutil.Process) -> bool:
+    """Whether it is the interpreter's own server, which ends with this run."""
+    return process.ppid() == os.getpid() and "multiprocessing." in " ".join(process.cmdline())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_process_is_left_behind() -> Iterator[None]:
+    """Wait for the end of all that the module's tests have begun; name what never ends."""
+    yield
+    until(lambda: not _left(), "the end of what tests have begun", _left)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ class Prague(NamedTuple):
     path: Path
     told: dict[str, Any]
     """The object of `--json`."""
-    processor_s: float
 
     def of_kind(self, kind: str) -> list[dict[str, Any]]:
         """Findings of a kind."""
@@ -33,8 +31,6 @@ def built(maps: Path, out: Path) -> Prague:
     sources = [*maps.glob("*overpass.json")]
     lines, tile = maps / "lines_7_20.geojson", maps / "N50E014.hgt"
     options = ["-o", out, "--elevation", tile, "--lines", lines, "--json"]
-    began_s = time.process_time()
     command = ["map", "build", *map(str, sorted(sources)), *map(str, options)]
     result = CliRunner().invoke(make_app("map"), command, catch_exceptions=False)
-    processor_s = time.process_time() - began_s
-    return Prague(networks.load(out), out, json.loads(result.stdout), processor_s)
+    return Prague(networks.load(out), out, json.loads(result.stdout))

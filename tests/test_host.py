@@ -216,6 +216,22 @@ def test_tick_stamps_never_fall_although_the_lead_does(world: World) -> None:
     assert world.clock.now_ns() - stamps[-1] == 180 * MS
 
 
+def test_event_time_is_that_of_the_promptest_input_of_two_seconds(world: World) -> None:
+    """One fix in fifteen comes after 10 ms, the others wait 60 ms: the wait is no event time."""
+    first = Remembering()
+    steps: list[Any] = []
+    for index in range(150):
+        age_ns = 10 * MS if index % 15 == 0 else 60 * MS
+        steps += [
+            lambda age_ns=age_ns: world.fix(world.clock.now_ns() - age_ns),
+            lambda: world.clock.advance(0.1),
+        ]
+    world.run([first], *steps)
+    assert len(first.ticks) > 140
+    ages_ns = {START_NS + (n + 1) * 100 * MS - t.stamp_ns for n, t in enumerate(first.ticks[:-1])}
+    assert ages_ns == {10 * MS}
+
+
 def test_one_device_with_broken_stamps_does_not_move_event_time(world: World) -> None:
     class Wide(Remembering):
         inputs = (keys.GNSS_FIX, keys.ODO_WHEELS, keys.IMU_BATCH, keys.SYNC_TICK)

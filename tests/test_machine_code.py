@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import msgspec
 import networks
 import pytest
+from live import finished
 
 from tramstream import keys, machine_code, scenario
 from tramstream.config import Map
@@ -57,9 +57,7 @@ def interrupt(_: str) -> None:
 @pytest.mark.live
 def test_warm_start_does_not_compile() -> None:
     machine_code.ensure(print)
-    done = subprocess.run(
-        [sys.executable, "-c", WARM_START], capture_output=True, text=True, check=True
-    )
+    done = finished([sys.executable, "-c", WARM_START], check=True)
     assert done.stdout.strip() == "['<lambda>']"
 
 
@@ -69,10 +67,8 @@ def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
     machine_code.ensure(print)
     network = tmp_path / "switch.tracks"
     networks.switch().network.save(network)
-    done = subprocess.run(
+    done = finished(
         [sys.executable, "-c", WARM_START, str(network)],
-        capture_output=True,
-        text=True,
         check=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
     )

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from live import HANG_S
 from scripted import FakePort, Impatient, raw
 
 from tramstream.clock import S
@@ -14,8 +15,6 @@ from tramstream.errors import DeviceError
 from tramstream.ports import BACKOFF_FIRST_S, BACKOFF_MAX_S, SILENT_S, PortReader, join_reads, size
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import CanFrames
-
-JOIN_S = 10.0
 
 
 def read_all(script: list[Any]) -> tuple[PortReader, list[Any], Impatient]:
@@ -25,7 +24,7 @@ def read_all(script: list[Any]) -> tuple[PortReader, list[Any], Impatient]:
     port = FakePort(script, stop)
     reader = PortReader(port, got.append, stop)
     reader.start()
-    reader.join(JOIN_S)
+    reader.join(HANG_S)
     assert not port.is_open
     return reader, got, stop
 
@@ -68,7 +67,7 @@ def test_health_names_what_was_lost_until_it_is_back() -> None:
 
     port.open = look_and_open  # type: ignore[method-assign]
     reader.start()
-    reader.join(JOIN_S)
+    reader.join(HANG_S)
     not_yet = (DeviceHealth.LOST, "/dev/fake: not opened yet")
     assert seen == [not_yet, not_yet, (DeviceHealth.LOST, "/dev/fake: no such device")]
     assert reader.health() == (DeviceHealth.OPEN, "")
@@ -87,7 +86,7 @@ def test_device_that_says_nothing_is_silent_with_a_cure() -> None:
     stop = Impatient()
     reader = PortReader(FakePort([], stop), lambda message: None, stop, lambda: now_s[0])
     reader.start()
-    reader.join(JOIN_S)
+    reader.join(HANG_S)
     now_s[0] += SILENT_S - 0.1
     assert reader.health() == (DeviceHealth.OPEN, "")
     now_s[0] += 0.2
@@ -141,6 +140,17 @@ def test_joined_frames_keep_every_frame_and_arrival(offsets: list[list[int]]) ->
         ]
 
     assert frames([join_reads(reads)]) == frames(reads)
+
+
+def test_frame_that_the_kernel_stamped_before_the_last_read_is_not_put_before_the_first() -> None:
+    """Offsets have no sign; the message begins with its first read."""
+    reads = [
+        CanFrames(stamp_ns=S + later_ns, offset_ns=[0, 5], id=[1, 2], flags=[0, 0], data=[b""] * 2)
+        for later_ns in (0, -1000, 70)
+    ]
+    joined = join_reads(reads)
+    assert joined.stamp_ns == S
+    assert list(joined.offset_ns) == [0, 5, 0, 5, 70, 75]
 
 
 def test_size_is_that_of_the_device_data() -> None:

@@ -151,7 +151,7 @@ plans = st.lists(st.one_of(words, words, st.just("50 | 50")), min_size=1, max_si
 
 
 @given(plans)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_any_plan_gives_a_ride_within_the_limits(words: list[str]) -> None:
     segments, stops_m = parse_plan(f"| {' '.join(words)} |")
     ride = Ride(Line(segments, stops_m, LEVEL))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,6 +27,27 @@ def test_full_ring_drops_the_oldest_and_counts_it_by_name() -> None:
     assert [ring.get(0.0) for _ in range(3)] == [4, 5, 6]
     assert ring.dropped == {"even": 2, "odd": 2}
     assert ring.dropped_total == 4
+
+
+def test_drop_is_counted_under_the_name_of_what_was_dropped() -> None:
+    ring: Ring[int] = Ring(3)
+    for name in ("old", "old", "older still", "new", "new"):
+        ring.put(name, 0)
+    assert ring.dropped == {"old": 2}
+    ring.put("newest", 0)
+    assert ring.dropped == {"old": 2, "older still": 1}
+
+
+@given(st.integers(1, 4), st.text("abc", max_size=30))
+def test_names_of_drops_and_of_what_is_left_are_those_that_were_put(
+    capacity: int, names: str
+) -> None:
+    ring: Ring[str] = Ring(capacity)
+    for name in names:
+        ring.put(name, name)
+    left = [ring.get(0.0) for _ in range(len(ring))]
+    assert left == list(names[-capacity:])
+    assert ring.dropped == Counter(names[:-capacity])
 
 
 def test_negative_patience_is_none_at_all() -> None:

@@ -29,7 +29,7 @@ curvatures = st.lists(st.floats(-0.05, 0.05), min_size=12, max_size=80)
 
 
 @given(curvatures)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_regions_cover_the_line_and_allow_no_more_than_the_track(values: list[float]) -> None:
     line = wavy(values)
     found = regions(line, LIMITS)
@@ -44,7 +44,7 @@ def test_regions_cover_the_line_and_allow_no_more_than_the_track(values: list[fl
 
 
 @given(curvatures)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_no_region_is_faster_than_a_neighbour_for_less_than_it_is_worth(
     values: list[float],
 ) -> None:
@@ -59,7 +59,7 @@ def test_no_region_is_faster_than_a_neighbour_for_less_than_it_is_worth(
 
 
 @given(curvatures)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_ride_on_wavy_track_keeps_its_limits(values: list[float]) -> None:
     ride = Ride(wavy(values), LIMITS)
     motion = ride.motion(np.linspace(0.0, ride.duration_s, 3001))

@@ -69,7 +69,7 @@ def flipped(data: bytes, at: int, mask: int = 0x10) -> bytes:
 
 
 @given(st.lists(pieces, max_size=8).map(b"".join), st.lists(st.integers(0, 10_000), max_size=12))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_split_gives_what_the_whole_gives(data: bytes, cuts: list[int]) -> None:
     good, rejected, framer = feed_in_parts(data, [])
     assert good == scan(data)
@@ -105,7 +105,7 @@ def test_every_changed_byte_costs_its_own_frame_only() -> None:
 
 
 @given(st.lists(st.integers(0, 36 * 8 - 1), min_size=2, max_size=2, unique=True))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_two_flipped_bits_never_pass(bits: list[int]) -> None:
     damaged = frames(1)
     for bit in bits:

@@ -86,7 +86,7 @@ def delivered(data: bytes) -> list[bytes]:
     return [item.raw for item in run([data]) if isinstance(item, Frame)]
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(streams, st.lists(st.integers(0, 400), max_size=8))
 def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: list[int]) -> None:
     whole = run([stream])
@@ -94,7 +94,7 @@ def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: lis
     assert run([stream[i : i + 1] for i in range(len(stream))]) == whole
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(streams)
 def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
     at = 0
@@ -108,7 +108,7 @@ def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
     assert at == len(stream)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(streams, max_size=5), st.integers(0, 5))
 def test_bytes_balance_at_any_time_and_memory_can_be_moved(
     pieces: list[bytes], moved_at: int
@@ -142,6 +142,30 @@ def test_each_protocol_is_recognised_and_named() -> None:
 def test_frame_survives_lone_sync_byte() -> None:
     for lone in (b"\xb5", b"$", b"!", b"\xd3", b"\xb5\xb5", b"\xb5$", b"\xd3\xd3"):
         assert delivered(lone + PVT) == [PVT]
+
+
+FALSE_STARTS = (b"\xb5\x62", b"$G", b"!A", b"\xd3\x00", b"\xd3\x03")
+WHOLE = (PVT, GGA, CORRECTION, RAWX)
+
+
+@pytest.mark.parametrize("behind", [1, 2])
+@pytest.mark.parametrize("frame", WHOLE, ids=("UBX", "NMEA", "RTCM3", "counted UBX"))
+@pytest.mark.parametrize("false", FALSE_STARTS, ids=("UBX", "NMEA $", "NMEA !", "RTCM3", "long"))
+def test_frame_that_begins_right_behind_a_false_start_is_delivered(
+    false: bytes, frame: bytes, behind: int
+) -> None:
+    """However long the frame is that the false start claims: it is there once that has come."""
+    assert delivered(false[:behind] + frame + bytes(2048)) == [frame]
+
+
+@given(
+    st.lists(st.sampled_from([*FALSE_STARTS, b"\xb5", b"$", b"!", b"\xd3"]), max_size=9),
+    st.sampled_from(WHOLE),
+)
+def test_frame_behind_any_nesting_of_false_starts_is_delivered(
+    false: list[bytes], frame: bytes
+) -> None:
+    assert delivered(b"".join(false) + frame) == [frame]
 
 
 def test_intact_frame_behind_a_corrupt_header_is_delivered() -> None:
@@ -226,13 +250,11 @@ def test_every_truncation_keeps_the_whole_frames() -> None:
         ]  # fmt: skip
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=1026))
 def test_crc24q_agrees_with_pyrtcm(data: bytes) -> None:
     assert crc24q(data) == calc_crc24q(data)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=3000))
 def test_fletcher_checksum_agrees_with_pyubx2(payload: bytes) -> None:
     frame = ubx_frame(UNKNOWN, payload)

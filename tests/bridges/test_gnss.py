@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import struct
 from collections import Counter
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,7 +20,7 @@ from tramstream import keys
 from tramstream.bridges import ubx
 from tramstream.bridges.framing import UBX, Frame, Framer, nmea_frame, rtcm3_frame, ubx_frame
 from tramstream.bridges.gnss import GnssBridge, epoch_times, unix_like_ns
-from tramstream.bridges.gnss_clock import WEEK_NS, utc_ns
+from tramstream.bridges.gnss_clock import WEEK_NS, GpsTimeline, utc_ns
 from tramstream.bridges.ubx_layouts import LAYOUTS
 from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
@@ -131,6 +132,34 @@ def test_fix_is_published_twice_with_the_receivers_own_digits() -> None:
     assert diagonal == pytest.approx([0.9**2 / 2, 0.9**2 / 2, 1.5**2])
 
 
+@pytest.mark.parametrize("heading_is_valid", [False, True])
+@pytest.mark.parametrize(
+    ("solution_bits", "carrier"), [(0, GnssFix.NONE), (1, GnssFix.FLOAT), (2, GnssFix.FIXED)]
+)
+def test_carrier_phase_solution_is_told_by_bits_6_and_7_alone(
+    solution_bits: int, carrier: Any, heading_is_valid: bool
+) -> None:
+    """UBX-NAV-PVT, flags: carrSoln in bits 7 and 6, headVehValid in bit 5, gnssFixOK in bit 0."""
+    flags = solution_bits << 6 | heading_is_valid << 5 | 1
+    data = solution(START_NS, flags=flags, headVeh=123.0)
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+    assert sample.message.carrier == carrier
+    assert sample.message.HasField("heading_vehicle_deg") == heading_is_valid
+
+
+@pytest.mark.parametrize("known", [(), ("Roll",), ("Heading",), ("Pitch", "Heading")])
+def test_angle_is_known_where_its_own_accuracy_is(known: tuple[str, ...]) -> None:
+    """UBX-NAV-ATT: an accuracy of zero means that the angle is not known."""
+    fields = {"iTOW": START_NS % WEEK_NS // MS, "roll": 1.0, "pitch": 2.0, "heading": 3.0}
+    accuracies = {f"acc{name}": 0.5 if name in known else 0.0 for name in ("Roll", "Pitch")}
+    accuracies["accHeading"] = 0.5 if "Heading" in known else 0.0
+    data = ubx.encode("NAV-ATT", fields | accuracies)
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_ATTITUDE)
+    told = {name for name in ("Roll", "Pitch", "Heading")
+            if sample.message.HasField(f"{name.lower()}_deg")}  # fmt: skip
+    assert told == set(known)
+
+
 def test_covariance_of_the_same_epoch_is_used_and_turned_to_east_north_up() -> None:
     itow = START_NS % WEEK_NS // MS
     values = dict(zip(("NN", "NE", "ND", "EE", "ED", "DD"), (4, 1, 0.5, 9, 0.25, 16), strict=True))
@@ -145,6 +174,31 @@ def test_covariance_of_the_same_epoch_is_used_and_turned_to_east_north_up() -> N
     expected = C_enu_ned @ ned @ C_enu_ned.T
     np.testing.assert_array_equal(np.reshape(first.position_covariance, (3, 3)), expected)
     assert second.position_covariance_type == LocationFix.DIAGONAL_KNOWN
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 30.0, 90.0, 120.0])
+def test_error_ellipse_of_the_receiver_points_where_it_does(azimuth_deg: float) -> None:
+    """3 m along an azimuth, 1 m across, 5 m in height, in the bytes of the interface description.
+
+    u-blox F9 HPG 1.32, UBX-22008968, section 3.15.1 (UBX-NAV-COV): iTOW, version, two validity
+    flags, nine reserved bytes, then NN, NE, ND, EE, ED, DD of the position, of the velocity.
+    """
+    azimuth = np.deg2rad(azimuth_deg)
+    along_ned = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    across_ned = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    ned = 9.0 * np.outer(along_ned, along_ned) + np.outer(across_ned, across_ned)
+    ned[2, 2] = 25.0
+    itow = START_NS % WEEK_NS // MS
+    payload = struct.pack("<IBBB9x12f", itow, 0, 1, 0, *ned[np.triu_indices(3)], *[0.0] * 6)
+    out = GnssBridge(VEHICLE).step(raw(ubx_frame(0x0136, payload) + solution(START_NS), BOOT_NS))
+    (location,) = (sample.message for sample in on(out, keys.GNSS_LOCATION))
+    enu = np.reshape(location.position_covariance, (3, 3))
+    along_enu = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+    across_enu = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    up_enu = np.array([0.0, 0.0, 1.0])
+    variances = [axis @ enu @ axis for axis in (along_enu, across_enu, up_enu)]
+    assert variances == pytest.approx([9.0, 1.0, 25.0], rel=1e-6)
+    np.testing.assert_allclose(enu @ along_enu, 9.0 * along_enu, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +348,7 @@ def mixed_stream() -> bytes:
     return b"".join(parts)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.integers(1, 900), min_size=1, max_size=30), st.integers(0, 30))
 def test_cuts_and_restarts_change_stamps_only(sizes: list[int], moved_at: int) -> None:
     data = mixed_stream()
@@ -405,6 +459,28 @@ def test_week_rolls_over_between_two_epochs() -> None:
     assert bridge.clock.fit.restarts == 0
 
 
+def test_delay_of_an_epoch_is_that_of_its_first_message() -> None:
+    """What follows in the burst waited for it: 50 ms that are no delay of the receiver's clock."""
+    bridge = GnssBridge(VEHICLE)
+    for number in range(200):
+        gps_ns = START_NS + number * S // 5
+        arrival_ns = BOOT_NS + number * S // 5 + round(DELAY_S * S + 100 * BYTE_NS)
+        bridge.step(raw(solution(gps_ns), arrival_ns))
+        rest = ubx.encode("NAV-EOE", {"iTOW": gps_ns % WEEK_NS // MS})
+        bridge.step(raw(rest, arrival_ns + 50 * MS))
+    assert bridge.device_counters()["clock_residual_s"] == pytest.approx(0.0, abs=1e-3)
+
+
+@given(st.integers(1000 * WEEK_NS, 3000 * WEEK_NS), st.integers(0, WEEK_NS - 1))
+def test_time_of_week_is_that_of_the_week_that_is_nearest(reference_ns: int, tow_ns: int) -> None:
+    timeline = GpsTimeline()
+    timeline.reference_ns = reference_ns
+    found_ns = timeline.near(tow_ns)
+    assert found_ns is not None
+    assert found_ns % WEEK_NS == tow_ns
+    assert abs(found_ns - reference_ns) <= WEEK_NS // 2
+
+
 @pytest.mark.parametrize("jump_s", [-3600, -10, -0.6, 0.6, 10, 3600, 7 * 86400])
 def test_receiver_whose_time_jumps_recovers(jump_s: float) -> None:
     bridge = GnssBridge(VEHICLE)
@@ -475,7 +551,7 @@ def test_utc_of_impossible_dates_is_unknown() -> None:
 # dirt ------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.binary(max_size=200), max_size=6))
 def test_random_bytes_never_raise(pieces: list[bytes]) -> None:
     bridge = GnssBridge(VEHICLE)

@@ -137,7 +137,7 @@ def test_diagnostics_of_all_samples_are_joined_and_temperature_is_the_last() -> 
 
 
 @given(st.lists(st.integers(0, 90 * FRAME_LENGTH), max_size=30), st.integers(1, 200))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_cut_of_the_bytes_gives_the_same_columns(cuts: list[int], batch: int) -> None:
     device = Device(sequence=2**32 - 30)
     data = device.frames(30) + b"\xad\x65noise" + device.frames(20)
@@ -320,6 +320,28 @@ def test_pause_without_a_lost_sample_ends_a_batch() -> None:
     batches = run(bridge, every(data))
     assert [len(batch.gyro_x) for batch in batches] == [10, 10, 20]
     assert bridge.device_counters()["rejected_by_reason"] == {NOTE_PAUSE: 1}
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["one read", "two reads"])
+@pytest.mark.parametrize(
+    ("interval_us", "lengths"),
+    [(500, [20, 20]), (749, [20, 20]), (751, [10, 10, 20]), (1200, [10, 10, 20])],
+)
+def test_neighbours_are_contiguous_up_to_one_and_a_half_periods(
+    interval_us: int, lengths: list[int], apart: bool
+) -> None:
+    """Of a sensor at 2 kHz: 750 µs; no sequence number is missing."""
+    late = Device(sequence=10, stamp_us=4_500 + interval_us)
+    parts = [Device().frames(10), late.frames(30)]
+    reads = parts if apart else [b"".join(parts)]
+    bridge = ImuBridge(vehicle())
+    arrivals_ns = [HOST_START_NS + number * 5 * MS for number in range(len(reads))]
+    batches = run(bridge, zip(reads, arrivals_ns, strict=True))
+    check_columns(batches)
+    assert [len(batch.gyro_x) for batch in batches] == lengths
+    pauses = len(lengths) - 2
+    assert bridge.device_counters()["rejected_by_reason"] == ({NOTE_PAUSE: 1} if pauses else {})
+    assert bridge.device_counters()["samples_lost"] == 0
 
 
 def test_counter_of_the_sensor_that_disagrees_is_noted_and_the_sample_kept() -> None:

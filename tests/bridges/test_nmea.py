@@ -138,7 +138,7 @@ def test_malformed_sentence_is_rejected_and_never_raises(sentence: str) -> None:
         EpochAssembler().feed(parsed, 0, 0)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(
     st.sampled_from(["GGA", "GNS", "RMC", "GST", "ZDA", "GSA", "VTG"]),
     st.lists(

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import can
+import live
 import pytest
 import serial
 
@@ -29,7 +30,6 @@ from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
 CLOCK = VehicleClock(offset_ns=10**18)
 WHEELS = {"left": Wheel(message="M", signal="S", kind="pulses")}
-DEADLINE_S = 10.0
 T = TypeVar("T")
 
 
@@ -76,14 +76,15 @@ def can_port(interface: str, channel: object, **changes: Any) -> CanPort:
 
 
 def until(read: Callable[[], T | None], enough: Callable[[list[T]], bool]) -> list[T]:
-    """Messages read until they are enough; fails at the deadline."""
+    """Messages read until they are enough."""
     messages: list[T] = []
-    end_s = time.monotonic() + DEADLINE_S
-    while not enough(messages):
-        assert time.monotonic() < end_s, f"nothing more after {messages}"
-        message = read()
-        if message is not None:
+
+    def got() -> bool:
+        if not enough(messages) and (message := read()) is not None:
             messages.append(message)
+        return enough(messages)
+
+    live.until(got, "messages from the port", lambda: messages)
     return messages
 
 

@@ -1,19 +1,22 @@
-"""What the tests of the looking verbs share: command line, small records, a busy bus."""
+"""What the tests of the looking verbs share: small records, a busy bus, the verbs' whole answer."""
 
 from __future__ import annotations
 
+import io
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
+
+from live import command, environment, finished, short_folder
 
 from tramstream import keys
 from tramstream.bus import Envelope, ZenohBus
+from tramstream.cli.main import main
 from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -22,28 +25,33 @@ from tramstream.recorder.writer import RecordFile
 
 VEHICLE = "4711"
 START_NS = 1_790_000_000 * S
-DEADLINE_S = 30.0
 
 
-def command(*arguments: str) -> list[str]:
-    # -P: a stale tramstream.egg-info in the working directory would hide the verbs.
-    return [sys.executable, "-P", "-m", "tramstream.cli.main", *arguments]
+def tramstream(
+    *arguments: object, runtime_dir: Path | None = None, **more: str
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line to its end, whatever its status.
 
-
-def environment(runtime_dir: Path, **more: str) -> dict[str, str]:
-    return {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(runtime_dir), **more}
-
-
-def tramstream(*arguments: object, runtime_dir: Path = Path("/nonexistent"), **more: str):
-    """Run the command line to its end."""
-    return subprocess.run(
-        command(*map(str, arguments)),
-        env=environment(runtime_dir, **more),
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-        check=False,
-    )
+    With a runtime folder, where a bus may be, in a process of its own; else in this one, for a
+    process takes a second to begin.
+    """
+    if runtime_dir is not None:
+        return finished(command(*arguments), env=environment(runtime_dir, **more))
+    words = ["tramstream", *map(str, arguments)]
+    out, errors = (io.TextIOWrapper(io.BytesIO(), write_through=True) for _ in range(2))
+    with (
+        patch.dict(os.environ, environment(Path("/nonexistent"), **more)),
+        patch.object(sys, "argv", words),
+        redirect_stdout(out),
+        redirect_stderr(errors),
+    ):
+        try:
+            main()
+            status = 0
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    texts = [stream.buffer.getvalue().decode() for stream in (out, errors)]
+    return subprocess.CompletedProcess(words, status, *texts)
 
 
 def fix(number: int, stamp_ns: int = START_NS) -> GnssFix:
@@ -76,16 +84,6 @@ def write_fixes(path: Path, numbers: list[int], period_ns: int = S // 5) -> Path
             payload = fix(number, arrival_ns).SerializeToString()
             record.append(topic, keys.GNSS_FIX, payload, arrival_ns, arrival_ns, number)
     return path
-
-
-@contextmanager
-def short_folder() -> Iterator[Path]:
-    """A folder whose name leaves room for a Unix socket."""
-    folder = Path(tempfile.mkdtemp(prefix="tmst", dir="/tmp"))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -12,19 +12,8 @@ from importlib.metadata import entry_points
 from itertools import pairwise
 
 import pytest
-from looking import (
-    DEADLINE_S,
-    START_NS,
-    VEHICLE,
-    busy_bus,
-    command,
-    envelope,
-    environment,
-    fix,
-    short_folder,
-    tramstream,
-    write_fixes,
-)
+from live import HANG_S, command, environment, finished, short_folder
+from looking import START_NS, VEHICLE, busy_bus, envelope, fix, tramstream, write_fixes
 
 from tramstream import keys
 from tramstream.cli import look, readable
@@ -322,7 +311,7 @@ def test_reader_of_the_output_may_go_away(tmp_path):
     echo.stdout.close()
     assert echo.stderr.read() == ""
     echo.stderr.close()
-    echo.wait(DEADLINE_S)
+    assert echo.wait(HANG_S) == 0
 
 
 # The program --------------------------------------------------------------------------------------
@@ -332,7 +321,7 @@ def test_verbs_import_nothing_heavy():
         f"import sys, importlib\nfor name in {verbs}: importlib.import_module(name)\n"
         f"print([name for name in {HEAVY} if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = finished([sys.executable, "-c", code], check=True)
     assert done.stdout.strip() == "[]"
 
 
@@ -403,6 +392,6 @@ def test_interrupt_ends_a_stream_cleanly(traffic, verb):
     )
     assert process.stdout.readline().startswith(b"{")
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=DEADLINE_S)
+    _, errors = process.communicate(timeout=HANG_S)
     assert process.returncode == 0
     assert errors == b""

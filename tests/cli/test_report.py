@@ -318,10 +318,11 @@ def test_bad_input_is_one_sentence_with_the_cure(ride, tmp_path, change, words):
     assert (tmp_path / "there.html").read_text() == "kept"
 
 
-def test_page_is_replaced_when_asked_to(ride, tmp_path, capsys):
+def test_page_is_replaced_when_asked_to(tmp_path, capsys):
     out = tmp_path / "page.html"
     out.write_text("old")
-    report(ride, out, truth="", estimate="", overwrite=True, json_=False)
+    path = write(tmp_path / "one.mcap", iter([next(MadeUpRide(1.0).fixes())]))
+    report(path, out, truth="", estimate="", overwrite=True, json_=False)
     assert out.read_text().startswith("<!doctype html>")
     assert capsys.readouterr().out == f"{out}\n"
 

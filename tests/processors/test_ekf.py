@@ -287,7 +287,7 @@ def throw(frame: SyncFrame, kind: str, values: Any, offset_ns: int) -> None:
             setattr(frame.imu, name, value)
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(begin=st.sampled_from([0, STANDING, RUNNING]), thrown=garbage)
 def test_no_garbage_makes_it_raise_or_publish_what_is_no_number(
     begin: int, thrown: list[tuple[int, int, tuple[str, Any]]]

@@ -41,7 +41,7 @@ def assert_same(ours: kalman1d.TwoStateFilter, theirs: KalmanFilter) -> None:
     assert ours.z.item() == np.asarray(theirs.z).item()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     x=st.tuples(numbers, numbers),
     root=st.tuples(positive, numbers, positive),

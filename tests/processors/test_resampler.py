@@ -109,7 +109,7 @@ def test_a_rate_that_the_cut_off_does_not_fit_is_refused_by_name() -> None:
 
 # Any cut and any order ----------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(sizes=st.lists(st.integers(1, 73), max_size=40))
 def test_any_cut_into_batches_gives_the_same_bytes(method: str, sizes: list[int]) -> None:
     # A batch that ends later releases later, so measurements come before all of them.
@@ -122,7 +122,7 @@ def test_any_cut_into_batches_gives_the_same_bytes(method: str, sizes: list[int]
     assert len(messages(one, keys.SYNC_GAP)) == 1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(data=st.data())
 def test_order_of_arrival_makes_no_difference_while_nothing_is_late(data: st.DataObject) -> None:
     inertial, sent = batches(noise(3000)), measurements(START_NS + 1500 * MS)
@@ -400,7 +400,7 @@ def ride() -> list[Sample]:
 
 
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_restored_resampler_goes_on_with_the_same_bytes(method: str, data: st.DataObject) -> None:
     samples = ride()

@@ -95,7 +95,7 @@ def test_taps_that_share_no_centre_with_the_window_are_refused() -> None:
 
 
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(sizes=st.lists(st.integers(1, 97), max_size=40), first=st.integers(0, 10**9))
 def test_any_cut_into_batches_gives_the_same_windows(
     method: str, sizes: list[int], first: int
@@ -106,7 +106,7 @@ def test_any_cut_into_batches_gives_the_same_windows(
 
 
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(cut=st.integers(0, 24))
 def test_restored_windows_go_on_with_the_same_bits(method: str, cut: int) -> None:
     samples = batches(noise(1000), [40] * 25, first=3)
