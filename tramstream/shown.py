@@ -1,0 +1,39 @@
+"""Texts of strangers for a terminal: what would move the cursor or turn the reading becomes visible.
+
+A log text, a key, a file name or a field of a record may hold anything. Control characters (C0, C1,
+DEL), bidirectional overrides, line separators, invisible characters and lone surrogates are written
+as the escapes that Python gives them (`\\x1b`, `\\u202e`); letters of every script, and blanks of
+every width, stay. Whatever comes from the bus or a file goes through here before it is printed.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+
+
+def shown(text: str, lines: bool = False) -> str:
+    """Give `text` in one line, or, with `lines`, in those that it has."""
+    if text.isprintable():
+        return text
+    return "".join(c if _harmless(c) or (lines and c == "\n") else _escaped(c) for c in text)
+
+
+def shown_json(text: str) -> str:
+    """Give JSON text that a terminal may see: within its strings `\\u009b` means the same."""
+    if text.isprintable():
+        return text
+    return "".join(c if _harmless(c) or c == "\n" else _unit(c) for c in text)
+
+
+def _harmless(character: str) -> bool:
+    return character.isprintable() or unicodedata.category(character) == "Zs"
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
+def _unit(character: str) -> str:
+    """One or two JSON escapes, for beyond the 16-bit plane JSON wants a pair."""
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[place : place + 4]}" for place in range(0, len(units), 4))
