@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tramstream.shown import shown
+
 GAP = "  "
 
 
@@ -14,6 +16,7 @@ def aligned(rows: Sequence[Sequence[str]], left: frozenset[int], width: int = 0)
     """
     if not rows:
         return []
+    rows = [[shown(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
     for row in rows:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tramstream.cli.options import JsonOption
+from tramstream.shown import shown
 
 if TYPE_CHECKING:
     from tramstream.cli.checkup import Finding
@@ -84,8 +85,8 @@ def _text(finding: Finding, width: int) -> str:
     colours = {"ok": "green", "warning": "yellow", "FAIL": "red"}
     colour = colours[finding.state] if width else None
     state = typer.style(f"{finding.state:<8}", fg=colour) if colour else f"{finding.state:<8}"
-    text = f"{state} {finding.name:<15} {finding.text}"
-    return f"{text}\n{'':<25}→ {finding.cure}" if finding.cure else text
+    text = f"{state} {finding.name:<15} {shown(finding.text)}"
+    return f"{text}\n{'':<25}→ {shown(finding.cure)}" if finding.cure else text
 
 
 def _verdict(failures: int, warnings: int, config: Path | None) -> str:

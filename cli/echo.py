@@ -35,6 +35,7 @@ def echo(
     from tramstream.cli.look import LiveSource, Waiting, look
     from tramstream.cli.session import say, stop_on_signals
     from tramstream.cli.stats import Sequence
+    from tramstream.shown import shown
 
     as_json = json_ or format_ is Format.json
     stop = stop_on_signals()
@@ -51,9 +52,8 @@ def echo(
                 print(_as_json(source, envelope), flush=source.live)
             else:
                 if missing:
-                    print(
-                        f"# {missing} messages of {source.shown(envelope.topic)} are missing here"
-                    )
+                    name = source.shown(envelope.topic)
+                    print(shown(f"# {missing} messages of {name} are missing here"))
                 print(_as_text(source, envelope, full), flush=source.live)
             printed += 1
             if printed == count:
@@ -85,6 +85,7 @@ def _as_json(source: Source, envelope: Envelope) -> str:
 
 def _as_text(source: Source, envelope: Envelope, full: bool) -> str:
     from tramstream.cli.readable import SHOWN_BYTES, iso, readable, stamp_ns
+    from tramstream.shown import shown
 
     message = source.decode(envelope)
     name = source.shown(envelope.topic)
@@ -98,4 +99,4 @@ def _as_text(source: Source, envelope: Envelope, full: bool) -> str:
         body = [f"# {len(envelope.payload)} bytes, declared as {what}: cannot be decoded", shown]
     else:
         body = readable(message, full)
-    return "\n".join([head, *body, "---"])
+    return "\n".join([shown(text) for text in (head, *body)] + ["---"])

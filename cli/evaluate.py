@@ -41,8 +41,9 @@ def evaluate(
     from tramstream.cli.evaluate_figures import flat, flat_summary, judge, terms_of
     from tramstream.cli.evaluate_source import gather
     from tramstream.errors import DamagedRecordError, RecordError
+    from tramstream.shown import shown
 
-    with Console(stderr=True).status(f"{file}"):
+    with Console(stderr=True).status(shown(str(file))):
         found = gather(file, truth, estimate)
         terms = terms_of(found.vehicle, found.origin_ns, skip_s, outage_s)
         of = {

@@ -13,6 +13,7 @@ from tramstream.cli.columns import lasting
 from tramstream.cli.evaluate_figures import Judgement, Summary, Terms, group_name
 from tramstream.consistency import Interval
 from tramstream.outages import distance_m
+from tramstream.shown import shown
 
 UNITS = {"m": "m", "mps": "m/s", "deg": "°"}
 
@@ -28,9 +29,9 @@ def print_judgements(
     """Everything: `of` is by the short name of the estimate, the main one first."""
     out = console()
     name, main = next(iter(of.items()))
-    out.print(title, style="bold", markup=False, soft_wrap=True)
+    out.print(shown(title), style="bold", markup=False, soft_wrap=True)
     for line in _facts(main):
-        out.print(line, markup=False, soft_wrap=True)
+        out.print(shown(line), markup=False, soft_wrap=True)
     summaries = {each: judgement.summary for each, judgement in of.items()}
     if gnss is not None:
         summaries["raw GNSS"] = gnss
@@ -42,11 +43,11 @@ def print_judgements(
         out.print(_nis(main, name))
     for each, judgement in of.items():
         for line in _protection(judgement, terms, each):
-            out.print(line, markup=False, soft_wrap=True)
+            out.print(shown(line), markup=False, soft_wrap=True)
     if main.groups:
         out.print(_outages(main, name))
         for line in _worst(main, terms):
-            out.print(line, markup=False, soft_wrap=True)
+            out.print(shown(line), markup=False, soft_wrap=True)
 
 
 def _table(first: str, *columns: str) -> Table:

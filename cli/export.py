@@ -47,11 +47,12 @@ def _csv(record: Record, out: Path, key: str) -> None:
     from rich.progress import Progress
 
     from tramstream.recorder.tables import export_csv
+    from tramstream.shown import shown
 
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("export", total=None)
         for path in export_csv(record, out, key, lambda n: progress.advance(task, n)):
-            print(path)
+            print(shown(str(path)))
 
 
 def _geojson(record: Record, out: Path) -> None:

@@ -42,6 +42,8 @@ def _print(description: Description) -> None:
 
     from rich.console import Console
 
+    from tramstream.shown import shown
+
     console = Console(width=None if sys.stdout.isatty() else 160)
     start_ns = description.start_ns + description.utc_offset_ns
     clock = "UTC, as known later" if description.utc_offset_ns else "vehicle clock"
@@ -62,13 +64,16 @@ def _print(description: Description) -> None:
     ]
     for name, value in facts:
         for line in value.splitlines():
-            console.print(f"{name:<11}{line}", markup=False, highlight=False, soft_wrap=True)
+            console.print(f"{name:<11}{shown(line)}", markup=False, highlight=False, soft_wrap=True)
             name = ""
     console.print(_table(description))
 
 
 def _table(description: Description) -> Table:
     from rich.table import Table
+    from rich.text import Text
+
+    from tramstream.shown import shown
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     channels = description.channels
@@ -96,5 +101,5 @@ def _table(description: Description) -> Table:
             lost = channel.reported_lost.items()
             row.append(", ".join(f"{count} {cause.lower()}" for cause, count in lost))
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*(Text(shown(cell)) for cell in row))
     return table

@@ -25,6 +25,7 @@ from tramstream.cli import session
 from tramstream.errors import ConfigError, DamagedRecordError, RecordError
 from tramstream.recorder.reader import Entry, Record, open_record
 from tramstream.ring import Ring
+from tramstream.shown import shown_json
 
 WAIT_S = 0.1
 """The live source looks at `stop` this often."""
@@ -315,7 +316,8 @@ def line(figures: dict[str, Any]) -> str:
 
 
 def _dump(figures: Any) -> str:
-    return json.dumps(figures, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(figures, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return shown_json(text)
 
 
 def _finite(value: Any) -> Any:

@@ -15,6 +15,7 @@ import typer
 
 from tramstream import __version__
 from tramstream.errors import TramstreamError
+from tramstream.shown import shown
 
 INTERRUPTED = 130
 """What a shell reports for a program that Ctrl-C ended."""
@@ -77,7 +78,7 @@ def main() -> None:
     try:
         make_app(sys.argv[1] if len(sys.argv) > 1 else "")()
     except TramstreamError as error:
-        print(f"tramstream: {error}", file=sys.stderr)
+        print(shown(f"tramstream: {error}"), file=sys.stderr)
         sys.exit(error.exit_status)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)

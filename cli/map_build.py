@@ -140,6 +140,8 @@ def _show(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from tramstream.shown import shown
+
     counts = result["counts"]
     table = Table(title=None, box=None, show_header=False)
     table.add_column()
@@ -162,7 +164,7 @@ def _show(result: dict[str, Any]) -> None:
         if texts:
             console.print(f"\n{title}: {len(texts)}")
             for text in texts[:SHOWN]:
-                console.print(f"  {text}", markup=False)
+                console.print(f"  {shown(text)}", markup=False)
             if len(texts) > SHOWN:
                 console.print(f"  and {len(texts) - SHOWN} more (--json has all)")
     console.print(

@@ -27,6 +27,7 @@ def info(
     import time
 
     from tramstream.network import load
+    from tramstream.shown import shown_json
 
     if out is not None:
         from tramstream.cli.page_file import make_place
@@ -45,7 +46,7 @@ def info(
         write(out, compose(network, net.name, figures))
         figures["out"] = str(out)
     if as_json:
-        print(json.dumps(figures, ensure_ascii=False))
+        print(shown_json(json.dumps(figures, ensure_ascii=False)))
     else:
         _print(figures)
 
@@ -129,15 +130,19 @@ def _print(figures: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from tramstream.shown import shown
+
     console = Console(width=None if sys.stdout.isatty() else 160)
     for name, value in [("file", figures["file"]), *facts(figures)]:
-        console.print(f"{name:<12}{value}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"{name:<12}{shown(value)}", markup=False, highlight=False, soft_wrap=True)
     if figures["lines"]:
         table = Table(box=None, pad_edge=False, header_style="bold")
         for name in LINE_HEAD:
             table.add_column(name, justify="right" if name in ("km", "stops") else "left")
         for *names, length_km, stops in line_rows(figures):
-            table.add_row(*(escape(str(name)) for name in names), f"{length_km:.3f}", str(stops))
+            table.add_row(
+                *(escape(shown(str(name))) for name in names), f"{length_km:.3f}", str(stops)
+            )
         console.print(table)
     if "out" in figures:
         console.print(f"{'page':<12}{figures['out']}", markup=False, highlight=False)

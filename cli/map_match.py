@@ -39,13 +39,14 @@ def match(
     from tramstream.cli.page_file import make_place
     from tramstream.linear_reference import references
     from tramstream.network import load
+    from tramstream.shown import shown, shown_json
 
     for target, option in ((out, "--out"), (csv, "--csv")):
         if target is not None:
             make_place(target, [file, net], overwrite, option)
     network = load(net)
     known = references(network)
-    with Console(stderr=True).status(f"{file}"):
+    with Console(stderr=True).status(shown(str(file))):
         source = match_file(file, network, net)
         figures = {"file": str(file), "net": str(net), **describe(network, known, source)}
         if out is not None:
@@ -58,7 +59,7 @@ def match(
             _write_csv(csv, network, known, source)
             figures["csv"] = str(csv)
     if as_json:
-        print(json.dumps(figures, ensure_ascii=False))
+        print(shown_json(json.dumps(figures, ensure_ascii=False)))
     else:
         _print(figures)
 
@@ -196,14 +197,16 @@ def _print(figures: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from tramstream.shown import shown
+
     console = Console(width=None if sys.stdout.isatty() else 160)
     for name, value in facts(figures):
-        console.print(f"{name:<10}{value}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"{name:<10}{shown(value)}", markup=False, highlight=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in LEG_HEAD:
         table.add_column(name, justify="right" if name in ("from, m", "to, m") else "left")
     for row in leg_rows(figures):
-        table.add_row(*map(escape, row))
+        table.add_row(*(escape(shown(cell)) for cell in row))
     console.print(table)
     for name in ("out", "csv"):
         if name in figures:
@@ -216,6 +219,7 @@ def _write_csv(target: Path, network: Network, known: References, source: Source
     import numpy as np
 
     from tramstream.cli.network_drawing import plan_at
+    from tramstream.shown import cell
 
     plan = [
         plan_at(network, place.run >> 1, _drawn_m(network, place.run, place.chainage_m))
@@ -237,7 +241,7 @@ def _write_csv(target: Path, network: Network, known: References, source: Source
             found = known.at(place.run, place.chainage_m)
             if found:
                 line = network.lines[found[0].line]
-                row += [line.line, line.direction, f"{found[0].chainage_m:.2f}"]
+                row += [cell(line.line), cell(line.direction), f"{found[0].chainage_m:.2f}"]
             table.writerow(row)
 
 

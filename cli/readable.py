@@ -9,6 +9,7 @@ from typing import Any
 from google.protobuf.message import Message
 
 from tramstream.clock import S
+from tramstream.shown import shown
 
 SHOWN_ITEMS = 8
 SHOWN_BYTES = 32
@@ -56,15 +57,15 @@ def _fields(message: Message, full: bool, skipped: frozenset[str] = frozenset())
 
 
 def _repeated(field: Any, values: Any, full: bool) -> Iterator[str]:
-    shown = values if full else values[:SHOWN_ITEMS]
-    rest = len(values) - len(shown)
+    listed = values if full else values[:SHOWN_ITEMS]
+    rest = len(values) - len(listed)
     if field.message_type is None:
-        items = [_scalar(field, value, full) for value in shown]
+        items = [_scalar(field, value, full) for value in listed]
         items += [f"… {len(values)} in all"] if rest else []
         yield f"{field.name}: [{', '.join(items)}]"
         return
     yield f"{field.name}:" if values else f"{field.name}: []"
-    for value in shown:
+    for value in listed:
         inner = list(_fields(value, full)) or ["{}"]
         yield f"  - {inner[0]}"
         yield from (f"    {text}" for text in inner[1:])
@@ -83,8 +84,8 @@ def _text_lines(name: str, text: str) -> Iterator[str]:
 
 def _scalar(field: Any, value: Any, full: bool) -> str:
     if isinstance(value, bytes):
-        shown = value if full else value[:SHOWN_BYTES]
-        return shown.hex(" ") + (f" … {len(value)} bytes" if len(shown) < len(value) else "")
+        front = value if full else value[:SHOWN_BYTES]
+        return front.hex(" ") + (f" … {len(value)} bytes" if len(front) < len(value) else "")
     if field.enum_type is not None:
         known = field.enum_type.values_by_number.get(value)
         return known.name if known is not None else str(value)
@@ -92,4 +93,4 @@ def _scalar(field: Any, value: Any, full: bool) -> str:
         return "true" if value else "false"
     if isinstance(value, float):
         return f"{value:.12g}"
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in str(value))
+    return shown(str(value), lines=True)

@@ -29,6 +29,7 @@ def recover(
     from tramstream.errors import DamagedRecordError, RecordError
     from tramstream.recorder.recover import recover as save
     from tramstream.recorder.repair import repair
+    from tramstream.shown import shown
 
     if file.is_dir():
         raise RecordError(f"{file}: is a folder; name one record in it")
@@ -45,10 +46,10 @@ def recover(
         }
         print(json.dumps(values))
     elif recovery.target is not None:
-        print(recovery.target)
+        print(shown(str(recovery.target)))
     if not recovery.clean:
         raise DamagedRecordError(recovery.sentence)
-    print(recovery.sentence, file=sys.stderr)
+    print(shown(recovery.sentence), file=sys.stderr)
 
 
 def _stem(file: Path) -> str:

@@ -39,6 +39,7 @@ def report(
     from tramstream.cli.report_source import collect
     from tramstream.cli.session import make_room
     from tramstream.errors import ConfigError, DamagedRecordError
+    from tramstream.shown import shown
 
     started_s = time.perf_counter()
     make_room(out, [file], overwrite=False)
@@ -46,7 +47,7 @@ def report(
         raise ConfigError(f"{out}: exists already; choose another --out or give --overwrite")
     if not out.absolute().parent.is_dir():
         raise ConfigError(f"{out}: its folder does not exist; make it or choose another --out")
-    with Console(stderr=True).status(f"{file}"):
+    with Console(stderr=True).status(shown(str(file))):
         material = collect(file, truth, estimate)
         unfinished = out.with_name(out.name + ".part")
         unfinished.write_text(compose(material), encoding="utf-8")

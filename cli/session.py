@@ -14,11 +14,12 @@ from tramstream import config, keys
 from tramstream.bus import Bus, ZenohBus
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError, ConfigError
+from tramstream.shown import shown
 
 
 def say(text: str) -> None:
-    """One line for people, on standard error."""
-    print(text, file=sys.stderr, flush=True)
+    """Say something to people, on standard error; what strangers wrote in it does no harm."""
+    print(shown(text, lines=True), file=sys.stderr, flush=True)
 
 
 def make_room(out: Path, sources: Sequence[Path], overwrite: bool) -> None:

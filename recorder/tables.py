@@ -2,7 +2,8 @@
 
 Columns are the message's fields in their order, with their names (which hold the units); fields of
 parts are joined by dots, elements of lists and maps by their index or key. Bytes are written in
-hex, enumerations by name, a Foxglove timestamp as nanoseconds. An absent field is an empty cell.
+hex, enumerations by name, a Foxglove timestamp as nanoseconds. An absent field is an empty cell; a
+text that a spreadsheet would take for a formula has a `'` in front.
 """
 
 from __future__ import annotations
@@ -19,9 +20,12 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.recorder.reader import Record
+from tramstream.shown import cell
 
 _Order = tuple[tuple[int, str], ...]
 _ARRIVAL = ("log_ns", "publish_ns")
+_NAME_LENGTH = 60
+"""Characters: of four bytes each, with ending and number, they fit into the 255 bytes of a name."""
 
 
 def export_csv(
@@ -47,9 +51,9 @@ def export_csv(
     if not single:
         out.mkdir(parents=True, exist_ok=True)
     columns = _columns(record, set(topics), advance)
-    written = []
+    written: list[Path] = []
     for topic in topics:
-        path = out if single else out / f"{_file_name(topic)}.csv"
+        path = out if single else _free(out, _file_name(topic), written)
         _write(record, topic, columns[topic], path, advance)
         written.append(path)
     return written
@@ -61,7 +65,18 @@ def _meant(expression: str, topic: str) -> bool:
 
 
 def _file_name(topic: str) -> str:
-    return (keys.split(topic)[1] or topic).strip("/").replace("/", "_")
+    """A topic as a file name that every file system takes, whatever the topic holds."""
+    name = (keys.split(topic)[1] or topic).strip("/")
+    return "".join(c if c.isalnum() or c in "._-" else "_" for c in name)[:_NAME_LENGTH]
+
+
+def _free(folder: Path, name: str, taken: list[Path]) -> Path:
+    """A file of this name, or with a number behind it where another topic has it."""
+    path, number = folder / f"{name}.csv", 1
+    while path in taken:
+        number += 1
+        path = folder / f"{name}_{number}.csv"
+    return path
 
 
 def _columns(
@@ -90,12 +105,12 @@ def _write(
     place = {name: index + len(_ARRIVAL) for index, name in enumerate(columns)}
     with unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*_ARRIVAL, *columns])
+        writer.writerow([*_ARRIVAL, *map(cell, columns)])
         for entry in record.messages(topic.__eq__):
             row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
             row[0], row[1] = entry.log_ns, entry.publish_ns
             for _, name, value in flatten(record.decode(entry)):
-                row[place[name]] = value
+                row[place[name]] = cell(value)
             writer.writerow(row)
             if advance is not None:
                 advance(1)

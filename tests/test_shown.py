@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import unicodedata
 
-from tramstream.shown import shown, shown_json
+from tramstream.shown import cell, shown, shown_json
 
 HOSTILE = {
     "\x1b[2J": "\\x1b[2J",
@@ -51,3 +51,10 @@ def test_json_says_the_same_when_it_is_read() -> None:
         dumped = shown_json(json.dumps({"text": text}, ensure_ascii=False))
         assert json.loads(dumped) == {"text": text}
         assert dumped.isprintable()
+
+
+def test_texts_that_a_spreadsheet_would_run_are_made_harmless_and_numbers_are_not() -> None:
+    for text in ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "＝1"):
+        assert cell(text) == f"'{text}"
+    for value in (-1, -0.5, 3, float("nan"), True, "", "a=1", "raw/gnss/fix", " =1"):
+        assert cell(value) is value

@@ -1,4 +1,4 @@
-"""Texts of strangers for a terminal: what would move the cursor or turn the reading becomes visible.
+"""Texts of strangers for a terminal: what moves the cursor or turns the reading becomes visible.
 
 A log text, a key, a file name or a field of a record may hold anything. Control characters (C0, C1,
 DEL), bidirectional overrides, line separators, invisible characters and lone surrogates are written
@@ -37,3 +37,15 @@ def _unit(character: str) -> str:
     """One or two JSON escapes, for beyond the 16-bit plane JSON wants a pair."""
     units = character.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{units[place : place + 4]}" for place in range(0, len(units), 4))
+
+
+_FORMULA = tuple("=+-@\t\r\n＝＋－＠")
+"""What a spreadsheet takes for the begin of a formula. OWASP, "CSV Injection"."""
+
+
+def cell(value: object) -> object:
+    """Give a cell of a CSV table: a text that a spreadsheet would run gets a `'` in front.
+
+    Numbers are none and stay as they are, negative ones too.
+    """
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
