@@ -94,9 +94,9 @@ def _as_text(source: Source, envelope: Envelope, full: bool) -> str:
     head = f"{name}  #{envelope.sequence}  {when}"
     if message is None:
         payload = envelope.payload if full else envelope.payload[:SHOWN_BYTES]
-        shown = payload.hex(" ") + (" …" if len(payload) < len(envelope.payload) else "")
+        digits = payload.hex(" ") + (" …" if len(payload) < len(envelope.payload) else "")
         what = envelope.encoding or "something without an encoding"
-        body = [f"# {len(envelope.payload)} bytes, declared as {what}: cannot be decoded", shown]
+        body = [f"# {len(envelope.payload)} bytes, declared as {what}: cannot be decoded", digits]
     else:
         body = readable(message, full)
     return "\n".join([shown(text) for text in (head, *body)] + ["---"])
