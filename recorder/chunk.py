@@ -38,6 +38,12 @@ from tramstream.recorder.layout import (
 )
 
 BLOCK_BYTES = 1024
+MAX_CHUNK_BYTES = 32 << 20
+"""No chunk, compressed or not, is longer. Ours have 1 MB and one message, those of other writers
+some megabytes; what states more is damaged, or made to take all memory."""
+MAX_GUARD_BYTES = 1 << 18
+"""A guard of 32,000 blocks."""
+_LEAST_BYTES, _MOST_FOLD = 16 << 20, 100
 _GUARD_HEAD = struct.Struct(f"<8s8s{CHUNK_ZSTD.size}sI")
 
 
@@ -123,12 +129,26 @@ def encode_chunk(
     return guard, b"".join([head, *data]), b"".join(indexes), entry
 
 
+def allowed_bytes(size: int) -> int:
+    """Give the most that the chunks of a record of `size` bytes may state together.
+
+    Records of rides decompress to two to three times their size, the emptiest of other robots (maps
+    without a wall) to some tens. A chunk cannot give more than it states, so what a file of 131 kB
+    can take is 29 MB, however many chunks it has and however often its summary names one.
+    """
+    return _LEAST_BYTES + _MOST_FOLD * size
+
+
 def guard_bytes(content: bytes) -> int:
-    """Length of the guard record whose content begins with `content`, by its count of blocks."""
+    """Length of the guard record whose content begins with `content`, by its count of blocks.
+
+    0 if that is more than a guard can have.
+    """
     if len(content) < _GUARD_HEAD.size:
         return 0
     (count,) = struct.unpack_from("<I", content, _GUARD_HEAD.size - 4)
-    return int(RECORD.size + _GUARD_HEAD.size + 8 * count + 4)
+    size = int(RECORD.size + _GUARD_HEAD.size + 8 * count + 4)
+    return size if size <= MAX_GUARD_BYTES else 0
 
 
 def read_guard(content: bytes) -> Guard | None:
@@ -173,17 +193,21 @@ def decode_chunk(
     With a guard, only blocks whose checksum holds are used. Without one (foreign files) the remains
     of a *cut* chunk are given back as far as they decompress; those of a damaged one never are.
     One `decompressor` serves all chunks of a thread: to make one takes a fifth of a live chunk.
+    Never gives more than the chunk states, and nothing of one that states too much.
     """
+    if head.raw_size > MAX_CHUNK_BYTES:
+        return Restored(b"", whole=False)
     if not cut:
         raw = _decompress(head, data, decompressor or zstandard.ZstdDecompressor())
         if raw is not None and (zlib.crc32(raw) == head.crc or (head.crc == 0 and guard is None)):
             return Restored(raw, whole=True)
     if guard is not None:
         good = _proved_bytes(data, guard)
-        raw, whole = _prefix(data[:good]), good == sum(size for size, _ in guard.blocks)
+        raw = _prefix(data[:good], head.raw_size)
+        whole = good == sum(size for size, _ in guard.blocks) and len(raw) == head.raw_size
         return Restored(raw, whole, good)
     if cut and head.compression == "zstd":
-        return Restored(_prefix(data), whole=False)
+        return Restored(_prefix(data, head.raw_size), whole=False)
     return Restored(data if cut and not head.compression else b"", whole=False)
 
 
@@ -197,18 +221,18 @@ def _proved_bytes(data: bytes, guard: Guard) -> int:
     return good
 
 
-def _prefix(data: bytes) -> bytes:
-    """As much as the front of a zstd frame gives."""
+def _prefix(data: bytes, limit: int) -> bytes:
+    """As much as the front of a zstd frame gives, `limit` bytes at most."""
     frame = zstandard.ZstdDecompressor().decompressobj()
-    raw = []
+    raw = bytearray()
     try:
         for position in range(0, len(data), 64):  # what precedes an error is kept
-            raw.append(frame.decompress(data[position : position + 64]))
-            if frame.eof:
+            raw += frame.decompress(data[position : position + 64])
+            if frame.eof or len(raw) > limit:  # 64 bytes give 2 MB at most
                 break
     except zstandard.ZstdError:
         pass
-    return b"".join(raw)
+    return bytes(raw[:limit])
 
 
 def _decompress(
@@ -220,25 +244,26 @@ def _decompress(
                 return _streamed(head, data)
             return decompressor.decompress(data)
         if head.compression == "lz4":
-            return _lz4(data)
+            return _lz4(head, data)
     except (zstandard.ZstdError, RuntimeError, MemoryError):
         return None  # damaged: the caller sees the same as from a wrong checksum
-    return data
+    return data if len(data) == head.raw_size else None
 
 
-def _streamed(head: ChunkHead, data: bytes) -> bytes:
+def _streamed(head: ChunkHead, data: bytes) -> bytes | None:
     """A frame without its size in front: other writers stream, and say the size in the chunk."""
-    raw = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-    return raw if len(raw) == head.raw_size else b""
+    with zstandard.ZstdDecompressor().stream_reader(data) as frame:
+        raw: bytes = frame.read(head.raw_size + 1)
+    return raw if len(raw) == head.raw_size else None
 
 
-def _lz4(data: bytes) -> bytes:
+def _lz4(head: ChunkHead, data: bytes) -> bytes | None:
     try:
         import lz4.frame  # type: ignore[import-untyped]  # foreign files only
     except ImportError as error:
         raise RecordError("a chunk is compressed with lz4; `pip install lz4` reads it") from error
-    raw: bytes = lz4.frame.decompress(data)
-    return raw
+    raw: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, head.raw_size + 1)
+    return raw if len(raw) == head.raw_size else None
 
 
 def assemble(

@@ -9,12 +9,21 @@ import zstandard
 from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from tramstream.errors import RecordError
-from tramstream.recorder.chunk import Restored, decode_chunk, read_chunk_head, read_guard
+from tramstream.recorder.chunk import (
+    MAX_CHUNK_BYTES,
+    MAX_GUARD_BYTES,
+    Restored,
+    allowed_bytes,
+    decode_chunk,
+    read_chunk_head,
+    read_guard,
+)
 from tramstream.recorder.diskfile import Source
 from tramstream.recorder.found import Damage, Part, Scan, restore
 from tramstream.recorder.layout import (
     COPY,
     GUARD_MAGIC,
+    MAX_RECORD_BYTES,
     METADATA_NAME,
     RECORD,
     decode,
@@ -24,7 +33,11 @@ from tramstream.recorder.layout import (
 from tramstream.recorder.scan import scan
 from tramstream.recorder.summary import Contents, read_summary
 
-_LONGEST_GUARD_BYTES = 1 << 18
+_DIGITS = 6
+"""A million parts of five minutes are ten years."""
+_MAX_METADATA_BYTES = 4 << 20
+_GUARD_REACH_BYTES = (1 << 12, MAX_GUARD_BYTES)
+"""A guard is looked for so far before its chunk: nearly all are short."""
 
 
 @dataclass(slots=True)
@@ -52,6 +65,8 @@ class File:
     end_ns: int = 0
     finished: bool = False
     damages: list[Damage] = field(default_factory=list)
+    told: set[int] = field(default_factory=set)
+    """Where chunks are whose damage is in `damages` already."""
     chunks: list[Chunk] = field(default_factory=list)
     topics: dict[int, tuple[str, int]] = field(default_factory=dict)
     decompressor: zstandard.ZstdDecompressor = field(default_factory=zstandard.ZstdDecompressor)
@@ -63,7 +78,7 @@ class File:
     @property
     def part(self) -> int:
         text = self.metadata.get("part", "")
-        return int(text) if text.isdecimal() else 0
+        return _number(text) or 0
 
 
 def open_file(path: Path) -> File:
@@ -90,7 +105,13 @@ def _by_summary(file: File, contents: Contents) -> None:
     for index in contents.metadata:
         if index.name == METADATA_NAME:
             file.metadata |= _metadata_at(file, index)
+    allowed = allowed_bytes(file.source.size)
     for chunk in contents.chunks:
+        if chunk.uncompressed_size > min(MAX_CHUNK_BYTES, allowed):
+            what = "a chunk that states more than a record of this size can hold"
+            file.damages.append(Damage(chunk.chunk_start_offset, chunk.chunk_length, what))
+            continue
+        allowed -= chunk.uncompressed_size
         ids = frozenset(chunk.message_index_offsets)
         span = chunk.message_start_time, chunk.message_end_time
         file.chunks.append(Chunk(file, *span, chunk, ids))
@@ -98,14 +119,15 @@ def _by_summary(file: File, contents: Contents) -> None:
 
 def _metadata_at(file: File, index: MetadataIndex) -> dict[str, str]:
     """Values of a metadata record; its copy goes first, for it has a checksum."""
+    length = min(index.length, _MAX_METADATA_BYTES)
     head = file.source.read(index.offset + index.length, RECORD.size)
     if len(head) == RECORD.size:
-        opcode, length = RECORD.unpack(head)
-        if opcode == COPY:
-            copy = read_copy(file.source.read(index.offset + index.length + RECORD.size, length))
+        opcode, copied = RECORD.unpack(head)
+        if opcode == COPY and copied <= _MAX_METADATA_BYTES:
+            copy = read_copy(file.source.read(index.offset + index.length + RECORD.size, copied))
             if copy is not None:
                 return copy.metadata
-    record = decode(Metadata, file.source.read(index.offset + RECORD.size, index.length - 9))
+    record = decode(Metadata, file.source.read(index.offset + RECORD.size, length - RECORD.size))
     if record is None:
         file.damages.append(Damage(index.offset, index.length, "the record's metadata"))
     return record.metadata if record is not None else {}
@@ -141,30 +163,39 @@ def load(chunk: Chunk) -> Restored:
     source, place = chunk.file.source, chunk.place
     if isinstance(place, Part):
         return restore(source, place)
-    record = source.read(place.chunk_start_offset, place.chunk_length)
+    record = source.read(place.chunk_start_offset, min(place.chunk_length, MAX_RECORD_BYTES))
     head = read_chunk_head(record[:64])
     restored = Restored(b"", whole=False)
-    if head is not None:
+    if head is not None and head.raw_size <= place.uncompressed_size:
         data = record[head.data_offset :]
         restored = decode_chunk(head, data, None, False, chunk.file.decompressor)
     if not restored.whole:
-        restored = _by_guard(source, place)
-        if not restored.whole:
+        if chunk.file.metadata:  # a file of ours
+            restored = _by_guard(source, place)
+        if not restored.whole and place.chunk_start_offset not in chunk.file.told:
+            chunk.file.told.add(place.chunk_start_offset)
             saved = sum(tally(restored.raw).counts.values())
             what = f"a damaged chunk, {saved} messages of it saved"
             damage = Damage(place.chunk_start_offset, place.chunk_length, what)
-            if damage not in chunk.file.damages:
-                chunk.file.damages.append(damage)
+            chunk.file.damages.append(damage)
     return restored
 
 
 def _by_guard(source: Source, place: ChunkIndex) -> Restored:
     """What the guard before a damaged chunk can prove of it."""
-    begin = max(place.chunk_start_offset - _LONGEST_GUARD_BYTES, 0)
-    before = source.read(begin, place.chunk_start_offset - begin)
-    guard = read_guard(before[max(before.rfind(GUARD_MAGIC), 0) :])
+    for reach in _GUARD_REACH_BYTES:
+        begin = max(place.chunk_start_offset - reach, 0)
+        before = source.read(begin, place.chunk_start_offset - begin)
+        guard = read_guard(before[max(before.rfind(GUARD_MAGIC), 0) :])
+        if guard is not None:
+            break
     head = read_chunk_head(guard.head) if guard is not None else None
-    if head is None or head.data_offset + head.data_size != place.chunk_length:
+    if (
+        head is None
+        or head.data_offset + head.data_size != place.chunk_length
+        or head.raw_size > place.uncompressed_size
+        or head.data_size > MAX_CHUNK_BYTES
+    ):
         return Restored(b"", whole=False)
     data = source.read(place.chunk_start_offset + head.data_offset, head.data_size)
     return decode_chunk(head, data, guard, cut=False)
@@ -173,4 +204,9 @@ def _by_guard(source: Source, place: ChunkIndex) -> Restored:
 def schema_version(file: File) -> int | None:
     texts = [file.metadata.get("schema_version", "")]
     texts += [channel.metadata.get("schema_version", "") for channel in file.channels.values()]
-    return next((int(text) for text in texts if text.isdecimal()), None)
+    return next((number for text in texts if (number := _number(text)) is not None), None)
+
+
+def _number(text: str) -> int | None:
+    """A count out of metadata, where anything may stand."""
+    return int(text) if text.isdecimal() and len(text) <= _DIGITS else None

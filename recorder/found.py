@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from tramstream.errors import RecordError
 from tramstream.recorder.chunk import ChunkHead, Guard, Restored, decode_chunk
 from tramstream.recorder.diskfile import Source
-from tramstream.recorder.layout import NOTHING, Tally, tally
+from tramstream.recorder.layout import NOTHING, RECORD, Tally, decode, tally
 from tramstream.recorder.summary import Contents
 
 
@@ -56,7 +57,8 @@ class Scan:
     proved: Contents = field(default_factory=Contents)
     metadata: list[tuple[int, Metadata]] = field(default_factory=list)
     proved_metadata: list[tuple[int, Metadata]] = field(default_factory=list)
-    attachments: list[tuple[int, Attachment]] = field(default_factory=list)
+    attachments: list[tuple[int, int]] = field(default_factory=list)
+    """Where they are, and the lengths of their records: the data may be long (`attachment_at`)."""
     good_end: int = 0
     finished: bool = False
 
@@ -66,6 +68,21 @@ class Scan:
 
     def channels(self) -> dict[int, Channel]:
         return {**self.plain.channels, **self.proved.channels}
+
+
+def attachment_at(source: Source, offset: int, length: int) -> Attachment:
+    """An attachment that the walk found whole.
+
+    Raises
+    ------
+    RecordError
+        If it is not there any more.
+    """
+    content = source.read(offset + RECORD.size, length - RECORD.size)
+    attachment = decode(Attachment, content)
+    if attachment is None:
+        raise RecordError(f"{source.path}: changes while it is read; try again")
+    return attachment
 
 
 def restore(source: Source, part: Part) -> Restored:

@@ -48,8 +48,9 @@ CHUNK_ZSTD = struct.Struct("<BQQQQII4sQ")
 """The head of a chunk of ours up to its data."""
 FOOTER_BYTES = RECORD.size + 20 + len(MAGIC)
 DATA_END_BYTES = RECORD.size + 4
-MAX_RECORD_BYTES = 1 << 30
-"""No record of sense is longer; a length beyond it is damage."""
+MAX_RECORD_BYTES = 64 << 20
+"""Longest record that is read: a chunk with its head is shorter (`chunk.MAX_CHUNK_BYTES`). A longer
+attachment is stepped over and told."""
 
 METADATA_NAME = "tramstream"
 Record_ = TypeVar("Record_", bound=McapRecord)
@@ -138,13 +139,13 @@ def entries_of(
     found: list[Entry] = []
     keep, unpack, get, make = found.append, MESSAGE.unpack_from, topics.get, tuple.__new__
     position, size = 0, len(raw)
-    raw += bytes(MESSAGE.size)  # so that a short last record can be unpacked like any other
-    while position < size:
+    last = size - MESSAGE.size
+    while position <= last:
         opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(raw, position)
         end = position + 9 + length
         if opcode == 5:
             known = get(channel_id)
-            if known is not None and start_ns <= log_ns < end_ns and end <= size:
+            if known is not None and start_ns <= log_ns < end_ns and position + 31 <= end <= size:
                 payload = raw[position + 31 : end]
                 entry = (known[0], payload, log_ns, publish_ns, sequence, known[1])
                 keep(make(Entry, entry))
@@ -157,12 +158,17 @@ def tally(raw: bytes) -> Tally:
     counts: dict[int, int] = {}
     schemas: list[Schema] = []
     channels: list[Channel] = []
+    defined: set[tuple[int, bytes]] = set()
     start_ns, end_ns = 1 << 64, 0
-    unpack = MESSAGE.unpack_from
+    unpack, last = MESSAGE.unpack_from, len(raw) - MESSAGE.size
     position, size = 0, len(raw)
-    raw += bytes(MESSAGE.size)
     while position < size:
-        opcode, length, channel_id, _, log_ns, _ = unpack(raw, position)
+        if position <= last:
+            opcode, length, channel_id, _, log_ns, _ = unpack(raw, position)
+        elif position + RECORD.size <= size:  # no message is as short
+            opcode, length = RECORD.unpack_from(raw, position)
+        else:
+            break
         end = position + 9 + length
         if end > size or opcode == 0:
             break
@@ -172,11 +178,13 @@ def tally(raw: bytes) -> Tally:
             counts[channel_id] = counts.get(channel_id, 0) + 1
             start_ns = min(start_ns, log_ns)
             end_ns = max(end_ns, log_ns)
-        elif opcode == Opcode.SCHEMA:
-            schema = decode(Schema, raw[position + 9 : end])
-            schemas += [schema] if schema else []
-        elif opcode == Opcode.CHANNEL:
-            channel = decode(Channel, raw[position + 9 : end])
-            channels += [channel] if channel else []
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            definition = raw[position + 9 : end]
+            if (opcode, definition[:2]) not in defined:  # the first one with an id goes
+                defined.add((opcode, definition[:2]))
+                schema = decode(Schema, definition) if opcode == Opcode.SCHEMA else None
+                channel = decode(Channel, definition) if opcode == Opcode.CHANNEL else None
+                schemas += [schema] if schema else []
+                channels += [channel] if channel else []
         position = end
     return Tally(counts, schemas, channels, start_ns if counts else 0, end_ns, position)

@@ -8,10 +8,9 @@ overlap. What is damaged is left out and stands in `damages`; it is never guesse
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +25,11 @@ from tramstream.errors import RecordError
 from tramstream.recorder.files import File, load, open_file, schema_version
 from tramstream.recorder.found import Damage
 from tramstream.recorder.layout import Entry, entries_of
+from tramstream.recorder.merge import in_order
 from tramstream.recorder.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
 
-_ORDER = itemgetter(2, 5, 4)
-_LOG_NS = attrgetter("log_ns")
 _FOREVER_NS = 1 << 64
 
 
@@ -54,11 +52,13 @@ class Record:
         self.channels: dict[str, ChannelInfo] = {}
         self._classes: dict[str, Any] = {}
         ids: set[int] = set()
+        highest = 0
         for file in files:
             for id_, channel in file.channels.items():
                 info = self.channels.get(channel.topic)
                 if info is None:
-                    free = id_ if id_ not in ids else max(ids) + 1
+                    free = id_ if id_ not in ids else highest + 1
+                    highest = max(highest, free)
                     ids.add(free)
                     schema = file.schemas.get(channel.schema_id)
                     name = schema.name if schema else ""
@@ -153,16 +153,9 @@ class Record:
             and (not chunk.channels or not chunk.channels.isdisjoint(wanted[id(file)]))
         ]
         chunks.sort(key=attrgetter("start_ns"))
-        waiting: list[Entry] = []
-        for chunk in chunks:
-            if waiting and waiting[0].log_ns < chunk.start_ns:
-                ready = bisect_left(waiting, chunk.start_ns, key=_LOG_NS)
-                yield from waiting[:ready]
-                del waiting[:ready]
-            raw = load(chunk).raw
-            waiting += entries_of(raw, wanted[id(chunk.file)], start, end)
-            waiting.sort(key=_ORDER)
-        yield from waiting
+        yield from in_order(
+            chunks, lambda chunk: entries_of(load(chunk).raw, wanted[id(chunk.file)], start, end)
+        )
 
     def decode(self, entry: Entry) -> Any:
         """The message of `entry`: our own type where we know it, else by the file's description.

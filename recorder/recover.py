@@ -12,7 +12,7 @@ from pathlib import Path
 from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.recorder.diskfile import Source
-from tramstream.recorder.found import Scan, restore
+from tramstream.recorder.found import Scan, attachment_at, restore
 from tramstream.recorder.layout import METADATA_NAME, entries_of
 from tramstream.recorder.scan import scan
 from tramstream.recorder.writer import RecordFile, schema_of
@@ -92,7 +92,7 @@ def recover(source: Path, target: Path) -> Recovery:
         vehicle = values.get("vehicle", "")
         values["recovered"] = recovery.sentence
         with RecordFile(target, vehicle, values) as record:
-            _copy_rest(found, record, bool(vehicle))
+            _copy_rest(file, found, record, bool(vehicle))
             _define(found, record)
             topics = {id_: (known.topic, id_) for id_, known in found.channels().items()}
             for part in found.parts:
@@ -120,12 +120,12 @@ def values_of(found: Scan) -> dict[str, str]:
     return values
 
 
-def _copy_rest(found: Scan, record: RecordFile, ours: bool) -> None:
+def _copy_rest(file: Source, found: Scan, record: RecordFile, ours: bool) -> None:
     for _, metadata in found.metadata:
         if metadata.name != METADATA_NAME or not ours:
             record.attach(metadata)
-    for _, attachment in found.attachments:
-        record.attach(attachment)
+    for offset, length in found.attachments:
+        record.attach(attachment_at(file, offset, length))
 
 
 def _define(found: Scan, record: RecordFile) -> None:

@@ -26,7 +26,7 @@ from mcap.records import ChunkIndex, Header, MetadataIndex
 from tramstream.errors import RecordError
 from tramstream.recorder.chunk import assemble, encode_chunk
 from tramstream.recorder.diskfile import Source
-from tramstream.recorder.found import Part, Scan, restore
+from tramstream.recorder.found import Part, Scan, attachment_at, restore
 from tramstream.recorder.layout import GUARD, MAGIC, RECORD, VOID, encode, file_id_of
 from tramstream.recorder.recover import Recovery, restore_schemas, values_of
 from tramstream.recorder.scan import scan
@@ -166,8 +166,8 @@ def _kept(source: Source, found: Scan) -> tuple[Contents, list[tuple[int, bytes]
         contents.metadata.append(MetadataIndex(offset, len(record), metadata.name))
         if source.read(offset, len(record)) != record:
             writes.append((offset, record))
-    for offset, attachment in found.attachments:
-        contents.add_attachment(attachment, offset, len(encode(attachment)))
+    for offset, length in found.attachments:
+        contents.add_attachment(attachment_at(source, offset, length), offset, length)
     return contents, writes
 
 

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import struct
 import zlib
+from bisect import bisect_left
 from collections.abc import Iterator
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, McapRecord, Metadata, Schema
 
 from tramstream.recorder.chunk import (
+    MAX_CHUNK_BYTES,
     Guard,
+    allowed_bytes,
     decode_chunk,
     guard_bytes,
     read_chunk_head,
@@ -41,11 +44,15 @@ from tramstream.recorder.layout import (
     read_copy,
     tally,
 )
+from tramstream.recorder.places import DATA_END, Places
 from tramstream.recorder.summary import read_summary
 
 _WINDOW_BYTES = 1 << 20
 _HEAD_BYTES = 64
+_AHEAD_BYTES = 1 << 16
 _RUN_BYTES = 1 << 20
+_SEARCH_BYTES = 64 << 20
+"""At least so much is looked at in search of chunks; a file may be full of what looks like one."""
 _KINDS: dict[int, type[McapRecord]] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -53,8 +60,6 @@ _KINDS: dict[int, type[McapRecord]] = {
     Opcode.METADATA: Metadata,
     Opcode.ATTACHMENT: Attachment,
 }
-_DATA_END = RECORD.pack(Opcode.DATA_END, 4)
-_COMPRESSIONS = tuple(struct.pack("<I", len(name)) + name for name in (b"zstd", b"lz4"))
 
 
 def scan(source: Source) -> Scan:
@@ -69,7 +74,18 @@ class _Walk:
         self.guard: tuple[int, int, Guard] | None = None  # begin, end, guard
         self.end = source.size
         self.hints: list[int] = []
+        """Where the summary says that chunks are, ascending."""
+        self.allowed_bytes = allowed_bytes(source.size)
+        """Of this the chunks' stated sizes are subtracted."""
+        self.refused = -1
+        """Where a chunk states more than that."""
+        self.search_bytes = _SEARCH_BYTES + source.size
+        """So much is still read to see whether what looks like a chunk is one."""
+        self.ahead = 0, b""
+        """An offset, and bytes of the file from there on."""
+        self.places = Places(source)
         self.trusted = -1  # where a chunk follows its damaged guard
+        self.chunked = False  # some chunk was kept
         self.ended = False  # past the end of data, in a summary that is not whole
 
     def run(self) -> Scan:
@@ -80,7 +96,7 @@ class _Walk:
             self.hints = sorted(chunk.chunk_start_offset for chunk in found.proved.chunks)
             found.finished = True
         position = len(MAGIC)
-        if self.source.read(0, position) != MAGIC:
+        if self._read(0, position) != MAGIC:
             found.begins_well = False
             found.damages.append(Damage(0, min(position, found.size), "the file's first bytes"))
         found.good_end = position
@@ -97,35 +113,44 @@ class _Walk:
 
     def _checksum_holds(self) -> bool:
         """Whether the data section has the CRC-32 that its end states (0 states none)."""
-        content = self.source.read(self.end + RECORD.size, 4)
+        content = self._read(self.end + RECORD.size, 4)
         if content == bytes(4):
             return True
         crc = 0
         for position in range(0, self.end, _WINDOW_BYTES):
             size = min(_WINDOW_BYTES, self.end - position)
-            crc = zlib.crc32(self.source.read(position, size), crc)
+            crc = zlib.crc32(self._read(position, size), crc)
         return content == struct.pack("<I", crc)
+
+    def _read(self, offset: int, length: int) -> bytes:
+        """Bytes of the file: of a walk's many short reads only some reach the disk."""
+        begin = offset - self.ahead[0]
+        if begin < 0 or begin + length > len(self.ahead[1]):
+            self.ahead = offset, self.source.read(offset, max(length, _AHEAD_BYTES))
+            begin = 0
+        return self.ahead[1][begin : begin + length]
 
     def _record(self, position: int) -> int | None:
         """Take the record at `position`; where the next one begins, or None if it cannot be."""
-        head = self.source.read(position, _HEAD_BYTES)
+        head = self._read(position, _HEAD_BYTES)
         if self.guard is not None and self.guard[1] == position:
             return self._chunk(position, self.guard[2].head, self.guard)
         if len(head) < RECORD.size:
             return None
         opcode, length = RECORD.unpack_from(head)
         if opcode == Opcode.CHUNK:
-            ours = self.found.file_id and position not in (self.trusted, *self.hints)
+            ours = self.found.file_id and position != self.trusted and not self._hinted(position)
             return None if ours else self._chunk(position, head, None)
         if opcode == GUARD or head[9:17] == GUARD_MAGIC:
             return self._guard(position)
         after = int(position + RECORD.size + length)
-        if opcode == 0 or length > MAX_RECORD_BYTES or after > self.end:
+        if opcode == 0 or after > self.end:
             return None
+        if length > MAX_RECORD_BYTES:
+            return self._too_long(position, after)
         if opcode == Opcode.MESSAGE:  # in a file with chunks that is a damaged opcode
-            chunked = self.found.file_id or any(part.head for part in self.found.parts)
-            return None if chunked else self._run(position)
-        content = self.source.read(position + RECORD.size, length)
+            return None if self.found.file_id or self.chunked else self._run(position)
+        content = self._read(position + RECORD.size, length)
         if not self._take(opcode, position, content):
             return None
         self.ended = self.ended or opcode == Opcode.DATA_END
@@ -161,7 +186,7 @@ class _Walk:
             case Metadata():
                 found.metadata.append((position, record))
             case Attachment():
-                found.attachments.append((position, record))
+                found.attachments.append((position, RECORD.size + len(content)))
         return True
 
     def _copy(self, position: int, content: bytes) -> bool:
@@ -188,11 +213,11 @@ class _Walk:
         return True
 
     def _guard(self, position: int) -> int | None:
-        content = self.source.read(position + RECORD.size, _HEAD_BYTES + len(GUARD_MAGIC) * 4)
+        content = self._read(position + RECORD.size, _HEAD_BYTES + len(GUARD_MAGIC) * 4)
         size = guard_bytes(content)
         guard = None
         if RECORD.size < size <= MAX_RECORD_BYTES and position + size <= self.end:
-            guard = read_guard(self.source.read(position + RECORD.size, size - RECORD.size))
+            guard = read_guard(self._read(position + RECORD.size, size - RECORD.size))
         if guard is None:
             return self._damaged_guard(position, content)
         if (self.found.file_id or guard.file_id) != guard.file_id:
@@ -207,12 +232,12 @@ class _Walk:
         A chunk without a guard of this file would be believed by its own checksum alone, and a
         stale disk block of an older record holds such chunks.
         """
-        _, length = RECORD.unpack(self.source.read(position, RECORD.size))
+        _, length = RECORD.unpack(self._read(position, RECORD.size))
         after = int(position + RECORD.size + length)
         known = zip(self.found.file_id, content[8:16], strict=False)
         if length > MAX_RECORD_BYTES or sum(a == b for a, b in known) < 7:
             return None
-        if read_chunk_head(self.source.read(after, _HEAD_BYTES)) is None:
+        if read_chunk_head(self._read(after, _HEAD_BYTES)) is None:
             return None
         self.found.damages.append(Damage(position, after - position, "a chunk's guard"))
         self.trusted = after
@@ -224,8 +249,12 @@ class _Walk:
         """Take the chunk at `position`; `guarded` is the guard right before it."""
         self.guard = None
         chunk = read_chunk_head(head)
-        if chunk is None or chunk.data_size > MAX_RECORD_BYTES:
+        if chunk is None:
             return None
+        if max(chunk.data_size, chunk.raw_size) > min(MAX_CHUNK_BYTES, self.allowed_bytes):
+            self.refused = position
+            return None
+        self.allowed_bytes -= chunk.raw_size
         end = position + chunk.data_offset + chunk.data_size
         begin, guard = (guarded[0], guarded[2]) if guarded else (position, None)
         part = Part(begin, position, end, chunk, guard)
@@ -255,10 +284,11 @@ class _Walk:
             contents.channels.setdefault(channel.id, channel)
         if counted.counts:
             self.found.parts.append(part)
+            self.chunked = self.chunked or part.head is not None
 
     def _run(self, position: int) -> int | None:
         """Take messages that stand outside of chunks (foreign files)."""
-        raw = self.source.read(position, min(_RUN_BYTES, self.end - position))
+        raw = self._read(position, min(_RUN_BYTES, self.end - position))
         end = 0
         while end + RECORD.size <= len(raw):
             opcode, length = RECORD.unpack_from(raw, end)
@@ -266,13 +296,15 @@ class _Walk:
                 break
             if end + RECORD.size + length > len(raw):
                 if end == 0 and position + RECORD.size + length <= self.end:
-                    raw = self.source.read(position, RECORD.size + length)
+                    raw = self._read(position, RECORD.size + length)
                     end = len(raw)
                 break
             end += RECORD.size + length
         counted = tally(raw[:end])
-        known = self.found.channels()
-        if not counted.counts or any(id_ not in known for id_ in counted.counts):
+        contents = self.found.plain.channels, self.found.proved.channels
+        if not counted.counts or not all(
+            any(id_ in channels for channels in contents) for id_ in counted.counts
+        ):
             return None
         end = position + counted.end
         self.found.parts.append(Part(position, position, end, None, tally=counted))
@@ -280,7 +312,7 @@ class _Walk:
 
     def _plausible(self, position: int) -> bool:
         """Whether a record may begin at `position`."""
-        head = self.source.read(position, RECORD.size)
+        head = self._read(position, RECORD.size)
         if position >= self.end or len(head) < RECORD.size:
             return position <= self.source.size
         opcode, length = RECORD.unpack_from(head)
@@ -289,36 +321,47 @@ class _Walk:
 
     def _next(self, position: int) -> int:
         """Where the next guard, chunk or end of data begins, from `position` on."""
-        hints = [hint for hint in self.hints if hint >= position]
-        limit = min(hints, default=self.end)
+        index = bisect_left(self.hints, position)
+        limit = self.hints[index] if index < len(self.hints) else self.end
         for candidate in self._candidates(position, limit):
             return candidate
         return limit
 
+    def _hinted(self, position: int) -> bool:
+        index = bisect_left(self.hints, position)
+        return index < len(self.hints) and self.hints[index] == position
+
+    def _too_long(self, position: int, after: int) -> int | None:
+        """Step over a record that is longer than what is read, if another one follows it."""
+        if not self._plausible(after):
+            return None
+        self.found.damages.append(Damage(position, after - position, "a record too long to read"))
+        return after
+
     def _candidates(self, position: int, limit: int) -> Iterator[int]:
-        overlap = _HEAD_BYTES
-        while position < limit:
-            window = self.source.read(position, _WINDOW_BYTES + overlap)
-            places = sorted(set(_places(window)))
-            for place in places:
-                if place < _WINDOW_BYTES and position + place < limit:
-                    at = position + place
-                    if self._genuine(at, window[place : place + _HEAD_BYTES]):
-                        yield at
-            position += _WINDOW_BYTES
+        for at in self.places.between(position, limit):
+            if self._genuine(at, self._read(at, _HEAD_BYTES)):
+                yield at
 
     def _genuine(self, position: int, head: bytes) -> bool:
         if head[9:17] == GUARD_MAGIC:
+            self.search_bytes -= guard_bytes(self._read(position + RECORD.size, _HEAD_BYTES))
+            if self.search_bytes < 0:
+                return False
             keep, self.guard = self.guard, None
             after = self._guard(position)
             self.guard = keep
             return after is not None
-        if head.startswith(_DATA_END):
+        if head.startswith(DATA_END):
             return self._plausible(position + DATA_END_BYTES)
         chunk = read_chunk_head(head)
         if chunk is None or self.found.file_id:  # a chunk of ours is found by its guard
             return False
-        data = self.source.read(position + chunk.data_offset, chunk.data_size)
+        size = max(min(chunk.data_size, self.end - position), chunk.raw_size)
+        if max(chunk.data_size, chunk.raw_size) > MAX_CHUNK_BYTES or size > self.search_bytes:
+            return False
+        self.search_bytes -= size
+        data = self._read(position + chunk.data_offset, chunk.data_size)
         cut = len(data) < chunk.data_size
         return cut or decode_chunk(chunk, data, None, cut=False).whole
 
@@ -326,22 +369,10 @@ class _Walk:
         torn = offset + length >= self.source.size and not self.found.finished
         if saved >= 0:
             what = f"a {'torn' if torn else 'damaged'} chunk, {saved} messages of it saved"
-        elif self.source.read(offset, 1) == bytes([Opcode.CHUNK]):
+        elif offset == self.refused:
+            what = "a chunk that states more than a record of this size can hold"
+        elif self._read(offset, 1) == bytes([Opcode.CHUNK]):
             what = "a damaged chunk, nothing of it saved"
         else:
             what = "the file ends within a record" if torn else "bytes that are no record"
         self.found.damages.append(Damage(offset, length, what))
-
-
-def _places(window: bytes) -> Iterator[int]:
-    """Where in `window` a guard, a chunk or the end of data may begin."""
-    for pattern, back in (
-        (GUARD_MAGIC, RECORD.size),
-        (_DATA_END, 0),
-        *((compression, 37) for compression in _COMPRESSIONS),
-    ):
-        place = window.find(pattern)
-        while place >= 0:
-            if place >= back:
-                yield place - back
-            place = window.find(pattern, place + 1)

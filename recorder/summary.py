@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -44,6 +45,9 @@ _KINDS: dict[int, type[McapRecord]] = {
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex,
 }
+_INDEX = struct.Struct("<QQQQI")
+"""Of a chunk index: first and last log time, place, length, bytes of the map that follows."""
+_INDEX_NAME, _INDEX_SIZES = struct.Struct("<QI"), struct.Struct("<QQ")
 
 
 @dataclass(slots=True)
@@ -177,17 +181,18 @@ def _collect(body: bytes) -> tuple[Contents, Statistics | None]:
         if kind is None:
             continue
         try:
+            if kind is ChunkIndex:
+                contents.chunks.append(_chunk_index(body[begin:position]))
+                continue
             stream = ReadDataStream(BytesIO(body[begin:position]))
             record = kind.read(stream)  # type: ignore[attr-defined]
-        except McapError:
+        except (McapError, UnicodeDecodeError, struct.error, MemoryError, OverflowError):
             return contents, None
         match record:
             case Schema():
                 contents.schemas[record.id] = record
             case Channel():
                 contents.channels[record.id] = record
-            case ChunkIndex():
-                contents.chunks.append(record)
             case MetadataIndex():
                 contents.metadata.append(record)
             case AttachmentIndex():
@@ -195,3 +200,31 @@ def _collect(body: bytes) -> tuple[Contents, Statistics | None]:
             case Statistics():
                 statistics = record
     return contents, statistics
+
+
+def _chunk_index(content: bytes) -> ChunkIndex:
+    """A chunk index; there may be a hundred thousand, and mcap's reader takes 70 µs for one.
+
+    Raises
+    ------
+    struct.error, UnicodeDecodeError
+        If its lengths lie.
+    """
+    start_ns, end_ns, offset, length, size = _INDEX.unpack_from(content)
+    begin = _INDEX.size + size
+    indexed_bytes, name_size = _INDEX_NAME.unpack_from(content, begin)
+    begin += _INDEX_NAME.size + name_size
+    compressed, uncompressed = _INDEX_SIZES.unpack_from(content, begin)
+    return ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=offset,
+        compression=content[begin - name_size : begin].decode(),
+        compressed_size=compressed,
+        message_end_time=end_ns,
+        message_index_length=indexed_bytes,
+        message_index_offsets=dict(
+            struct.iter_unpack("<HQ", content[_INDEX.size : _INDEX.size + size])
+        ),
+        message_start_time=start_ns,
+        uncompressed_size=uncompressed,
+    )
