@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import pwd
 import shutil
 import statistics
 import sys
@@ -18,7 +19,7 @@ from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 
-from tramstream import bus, keys
+from tramstream import bus, keys, machine_code, private
 from tramstream import network as networks
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Map, Recorder
@@ -106,6 +107,25 @@ def check_packages(requirements: list[str]) -> list[Finding]:
     return wrong or [ok("packages", f"{len(names)} as wanted, among them {', '.join(names[:3])}")]
 
 
+# Rights -------------------------------------------------------------------------------------------
+def check_rights() -> list[Finding]:
+    """Who runs this, and whether others can write where machine code is taken from."""
+    if os.geteuid() == 0:
+        text = "runs as root: whoever finds a fault in a decoder has the whole machine"
+        cure = (
+            "useradd --system --groups dialout tram; run it as that user (systemd: User=tram, "
+            "RuntimeDirectory=tramstream, Environment=TRAMSTREAM_RUNTIME_DIR=/run/tramstream)"
+        )
+        found = [warning("user", text, cure)]
+    else:
+        found = [ok("user", pwd.getpwuid(os.geteuid()).pw_name)]
+    machine_code.folder()
+    for text in machine_code.refused():
+        cure = "delete it, or set XDG_CACHE_HOME to a folder of your own"
+        found.append(warning("machine code", text, cure))
+    return found
+
+
 # Bus ----------------------------------------------------------------------------------------------
 def check_runtime_dir(folder: Path) -> list[Finding]:
     """Whether socket, clock file and snapshot can live in `folder`."""
@@ -118,8 +138,9 @@ def check_runtime_dir(folder: Path) -> list[Finding]:
     there = _nearest(folder)
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         return [fail(name, f"{there}: cannot be written", cure)]
-    if there == folder and folder.stat().st_uid != os.geteuid():
-        return [fail(name, f"{folder}: belongs to user {folder.stat().st_uid}", cure)]
+    doubt = private.doubt_of(folder) if there == folder else ""
+    if doubt:
+        return [fail(name, f"{folder}: {doubt}", cure)]
     made = "" if there == folder else ", will be made"
     return [ok(name, f"{folder}{made}")]
 
@@ -184,11 +205,19 @@ def kernel_clock_is_synchronised() -> bool:
 def check_disk(settings: Recorder) -> list[Finding]:
     """Whether records can be written, for how long, and how fast they are safe."""
     name, folder = "records", Path(settings.directory)
-    floor_bytes = settings.free_space_floor_bytes
     there = _nearest(folder)
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         cure = "give this user the right to write there, or change $.recorder.directory"
         return [fail(name, f"{there}: cannot be written", cure)]
+    if there == folder and (doubt := private.doubt_of(folder)):
+        cure = "let only the user that records write there (chmod 750), or use another folder"
+        return [warning(name, f"{folder}: {doubt}", cure), *_check_space(settings, there)]
+    return _check_space(settings, there)
+
+
+def _check_space(settings: Recorder, there: Path) -> list[Finding]:
+    name, folder = "records", Path(settings.directory)
+    floor_bytes = settings.free_space_floor_bytes
     free_bytes = shutil.disk_usage(there).free
     hours = (free_bytes - floor_bytes) / RECORD_BYTES_PER_H
     text = f"{folder.absolute()}: {free_bytes / 1e9:.1f} GB free"

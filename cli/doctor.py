@@ -58,6 +58,7 @@ def _findings(config: Path | None) -> Iterator[Finding]:
 
     yield from checkup.check_python()
     yield from checkup.check_processor()
+    yield from checkup.check_rights()
     vehicle: Vehicle | None = None
     if config is not None:
         try:

@@ -7,6 +7,7 @@ messages would on the vehicle; what no such ride meets is called by hand.
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 from pathlib import Path
 
@@ -86,6 +87,7 @@ def _one_track(line: Line) -> Network:
 
 
 if __name__ == "__main__":
+    os.umask(0o077)  # what is run is nobody else's
     machine_code.clear()
     compile_all()
     machine_code.mark_complete()

@@ -18,13 +18,13 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from tramstream import private
 from tramstream.errors import ConfigError
 
 S = 1_000_000_000
@@ -74,13 +74,13 @@ class VehicleClock:
         Raises
         ------
         ConfigError
-            If the folder cannot be written.
+            If the folder cannot be written, or is not this user's alone.
         """
+        make_runtime_dir(runtime_dir)
         path = runtime_dir / "clock.json"
         boot = boot_id()
         known = _read_clock(path, boot)
         if known is None:
-            make_runtime_dir(runtime_dir)
             try:
                 # Whoever waited for the lock finds the winner's file: reading and writing under
                 # one lock is what makes all agree, also over the file of an earlier boot.
@@ -101,25 +101,26 @@ def boot_id() -> str:
 
 
 def make_runtime_dir(runtime_dir: Path) -> None:
-    """Create the folder for socket, clock and snapshot, private to the user.
+    """See to the folder for socket, clock and snapshot: there, and private to the user.
+
+    Nothing in it is looked at before: whoever made it has written what is in it.
 
     Raises
     ------
     ConfigError
-        If it cannot be made, or belongs to somebody else.
+        If it cannot be made, or somebody else made it or may write in it.
     """
     try:
-        runtime_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-        owner = runtime_dir.stat().st_uid
+        doubt = private.make(runtime_dir)
     except OSError as error:
         raise ConfigError(
             f"{runtime_dir}: cannot make the runtime folder ({error.strerror}); set "
             "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to one that you may write"
         ) from error
-    if owner != os.geteuid():
+    if doubt:
         raise ConfigError(
-            f"{runtime_dir}: the runtime folder belongs to user {owner}; set $.bus.runtime_dir "
-            "to one of your own"
+            f"{runtime_dir}: the runtime folder {doubt}; set $.bus.runtime_dir or "
+            "TRAMSTREAM_RUNTIME_DIR to one of your own (mode 700)"
         )
 
 
@@ -137,9 +138,8 @@ def _read_clock(path: Path, boot: str) -> tuple[int, float] | None:
 def _write_clock(path: Path, boot: str, rate: float) -> tuple[int, float]:
     """Found the clock; the caller holds the lock. Readers see the whole file or none."""
     offset_ns = time.time_ns() - int(time.monotonic_ns() * rate)
-    temporary = path.with_suffix(".new")
-    temporary.write_text(json.dumps({"boot_id": boot, "offset_ns": offset_ns, "rate": rate}))
-    os.replace(temporary, path)
+    text = json.dumps({"boot_id": boot, "offset_ns": offset_ns, "rate": rate})
+    private.write(path, text.encode())
     return offset_ns, rate
 
 

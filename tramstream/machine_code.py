@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import os
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -19,15 +20,50 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from tramstream import private
+
 KEPT = 4
 """Folders of other states of the sources that are kept: another installation may use them."""
 _COMPLETE = "complete"
 _COMPILER = "tramstream.processors.compile_kernels"
+_refused: list[str] = []
 
 
 @cache
 def folder() -> Path:
-    """Folder of the machine code that belongs to these sources; made if need be."""
+    """Folder of the machine code that belongs to these sources; made if need be.
+
+    What lies in it is run, so it is this user's alone (`tramstream.private`), and so is every file
+    in it. A folder of this user that others could write in is emptied; where somebody else's lies
+    in the way, and in the folder for temporary files too, a new one is made, which all processes
+    that this one starts share.
+    """
+    name = _state_of_sources()
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    temporary = Path(tempfile.gettempdir()) / f"tramstream-{os.geteuid()}"
+    for place in (root / "tramstream", temporary):
+        try:
+            doubt = _emptied(place) if os.path.lexists(place) else private.make(place)
+            doubt = doubt or private.make(place / name)
+            for each in () if doubt else private.close(place / name):
+                _remove(each)
+        except OSError:  # a vehicle whose root file system is read-only
+            continue
+        if not doubt:
+            return place / name
+        _refused.append(f"{place}: {doubt}; machine code is not taken from there")
+    made = Path(tempfile.mkdtemp(prefix="tramstream-"))
+    os.environ["XDG_CACHE_HOME"] = str(made)
+    private.make(made / "tramstream" / name)
+    return made / "tramstream" / name
+
+
+def refused() -> list[str]:
+    """A sentence for each folder that is not used because it is not this user's alone."""
+    return list(_refused)
+
+
+def _state_of_sources() -> str:
     digest = hashlib.sha256(version("numba").encode())
     spec = importlib.util.find_spec("tramstream.processors")
     places = spec.submodule_search_locations if spec is not None else None
@@ -35,18 +71,38 @@ def folder() -> Path:
         for file in sorted(place.glob("*.py")):
             status = file.stat()
             digest.update(f"{file}{status.st_size}{status.st_mtime_ns}".encode())
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    chosen = Path(root) / "tramstream" / digest.hexdigest()[:16]
-    try:
-        chosen.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a vehicle whose root file system is read-only
-        chosen = Path(tempfile.gettempdir()) / f"tramstream-{os.getuid()}" / chosen.name
-        chosen.mkdir(parents=True, exist_ok=True)
-    return chosen
+    return digest.hexdigest()[:16]
+
+
+def _emptied(place: Path) -> str:
+    """Why a folder that is there cannot be used; one of this user that was open is emptied first.
+
+    Raises
+    ------
+    OSError
+        If it cannot be looked at.
+    """
+    status = place.lstat()
+    is_open = stat.S_ISDIR(status.st_mode) and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if is_open and status.st_uid == os.geteuid():
+        place.chmod(0o700)
+        for each in place.iterdir():
+            _remove(each)
+    return private.doubt_of(place)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def ensure(say: Callable[[str], None]) -> None:
     """See to it that all kernels are compiled; says so when that has to be waited for."""
+    here = folder()
+    for sentence in _refused:
+        say(f"{sentence} (it is kept in {here})")
     if _whole():
         return
     say("compiling the filters for this machine; once, it takes about half a minute")

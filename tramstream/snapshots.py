@@ -6,7 +6,6 @@ MessagePack with one extension for numpy arrays: nothing in a snapshot can run c
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import msgspec
 import numpy as np
 from google.protobuf.message import DecodeError
 
+from tramstream import private
 from tramstream.clock import S
 from tramstream.processor import Processor
 from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
@@ -80,9 +80,7 @@ def restore(snapshot: Snapshot, processors: Sequence[Processor], some: bool = Fa
 
 def save(path: Path, snapshot: Snapshot) -> None:
     """Write the snapshot file so that a reader sees the old or the new one, never half of one."""
-    temporary = path.with_suffix(".new")
-    temporary.write_bytes(snapshot.SerializeToString())
-    os.replace(temporary, path)
+    private.write(path, snapshot.SerializeToString())
 
 
 def load(path: Path, now_ns: int) -> tuple[Snapshot | None, str]:
