@@ -8,16 +8,25 @@ and cannot use an exception for each short frame. Tests hold the results to cant
 from __future__ import annotations
 
 import difflib
+import re
 import struct
+from pathlib import Path
 from typing import Any, Literal
 
 import cantools
 from cantools.database.errors import Error as CantoolsError
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 
 EXTENDED_ID = 0x80000000
 """Set in a frame key whose identifier has 29 bits, as in a DBC."""
+_MESSAGE_BYTES = 1785
+"""What J1939's transport protocol carries; a frame has 8, of CAN FD 64."""
+_PAGES = 100_000
+_MESSAGE = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
+_SIGNAL = re.compile(rb"\s*SG_\s+(\w+)\s*\w*\s*:\s*(\d+)\|(\d+)@")
+_RANGE = re.compile(rb"(\d+)\s*-\s*(\d+)")
 FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 
 
@@ -86,6 +95,7 @@ class Database:
         """
         self.path = path
         try:
+            _check_bounds(read_limited(Path(path), TEXT_LIMIT_BYTES), f"{where}: {path}")
             # Not strict: real DBCs have signals that overlap or stick out; it is checked per frame.
             self._messages: dict[str, Any] = {
                 message.name: message
@@ -96,7 +106,7 @@ class Database:
                 f"{where}: cannot read {path} ({error.strerror}); give the path of the vehicle's "
                 "DBC, relative to the configuration"
             ) from error
-        except (CantoolsError, ValueError, KeyError, AttributeError) as error:
+        except (CantoolsError, ValueError, KeyError, AttributeError, RecursionError) as error:
             raise ConfigError(
                 f"{where}: {path} is not a database that cantools can read ({error})"
             ) from error
@@ -131,6 +141,41 @@ class Database:
             )
         key = message.frame_id | (EXTENDED_ID if message.is_extended_frame else 0)
         return key, _field(signals[signal_name], signals)
+
+
+def _check_bounds(text: bytes, name: str) -> None:
+    """Refuse what cantools would make room for: it does so before anybody can look.
+
+    Raises
+    ------
+    ConfigError
+        If a message is longer than any protocol on CAN carries, a signal longer than that, or a
+        multiplexer has more values than there can be pages.
+    """
+    for line in text.splitlines():
+        message, signal = _MESSAGE.match(line), _SIGNAL.match(line)
+        if message is not None and _beyond(message[2], _MESSAGE_BYTES):
+            raise _too_long(name, "message", message[1], f"{_MESSAGE_BYTES} bytes")
+        lengths = signal.groups()[1:] if signal is not None else ()
+        if signal is not None and any(_beyond(each, 8 * _MESSAGE_BYTES) for each in lengths):
+            raise _too_long(name, "signal", signal[1], f"{8 * _MESSAGE_BYTES} bits")
+        if line.lstrip().startswith(b"SG_MUL_VAL_"):
+            pages = sum(_pages(*each) for each in _RANGE.findall(line))
+            if pages > _PAGES:
+                raise _too_long(name, "multiplexer of", line.split()[2], f"{_PAGES} values")
+
+
+def _beyond(digits: bytes, limit: int) -> bool:
+    return len(digits) > 9 or int(digits) > limit
+
+
+def _pages(first: bytes, last: bytes) -> int:
+    return _PAGES + 1 if len(first) > 9 or len(last) > 9 else 1 + int(last) - int(first)
+
+
+def _too_long(name: str, kind: str, what: bytes, most: str) -> ConfigError:
+    text = what.decode("ascii", "replace")[:64]
+    return ConfigError(f"{name}: {kind} {text} is longer than {most}; correct the DBC")
 
 
 def _field(signal: Any, signals: dict[str, Any]) -> Field:

@@ -14,8 +14,9 @@ import msgspec
 from msgspec import Meta
 
 from tramstream.cli.table_units import UNITS, Clock, instant_ns
-from tramstream.config import Positive, Struct, Vector, Vehicle
+from tramstream.config import Number, Positive, Struct, Vector, Vehicle
 from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 from tramstream.strict import decode_toml
 
 Column = str | int
@@ -30,7 +31,7 @@ class Time(Struct, frozen=True, kw_only=True):
     column: Column | tuple[Column, ...]
     """Several (a date, a time of day) are joined by a blank."""
     unit: Literal["s", "ms", "us", "ns", "datetime"]
-    offset_s: float = 0.0
+    offset_s: Number = 0.0
     """Added to every stamp: negative where the table's stamps are late."""
 
 
@@ -38,7 +39,7 @@ class Quantity(Struct, frozen=True, kw_only=True):
     """One figure a row, or one that the table does not have and everybody knows."""
 
     column: Column | None = None
-    value: float | None = None
+    value: Number | None = None
     unit: str
     dimension: ClassVar[str]
 
@@ -245,7 +246,7 @@ def load(path: Path) -> Mapping:
         One sentence with the file, the path of the field and the cure.
     """
     try:
-        data = path.read_bytes()
+        data = read_limited(path, TEXT_LIMIT_BYTES)
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot read the mapping ({error.strerror}); docs/import-tables.md shows one"

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import csv
 import difflib
-import math
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +30,8 @@ Stamps = NDArray[np.int64]
 _TICKS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Powers of ten to nanoseconds."""
 _LIMIT_NS = 1 << 62
+_LARGEST = 1e18
+"""A cell that is larger is no figure of a vehicle, and its square is no number."""
 _DELIMITERS = {"tab": "\t", ",": ",", ";": ";"}
 _EMPTY = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
 
@@ -298,7 +299,7 @@ def _number(cell: str) -> float | None:
         value = float(cell)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    return value if abs(value) <= _LARGEST else None  # NaN is not
 
 
 def _time_ns(text: str, unit: str) -> int | None:
@@ -309,6 +310,6 @@ def _time_ns(text: str, unit: str) -> int | None:
         number = Decimal(text).scaleb(_TICKS[unit])
         if not number.is_finite() or abs(number) > _LIMIT_NS:
             return None
-    except InvalidOperation:
+    except ArithmeticError:
         return None
     return round(number)

@@ -15,13 +15,18 @@ import msgspec.inspect
 from msgspec import Meta
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 from tramstream.strict import decode_toml
 
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
-Count = Annotated[int, Meta(ge=1)]
+LARGEST = 1e9
+"""No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold
+it."""
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
+NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
+Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-Vector = tuple[float, float, float]
+Vector = tuple[Number, Number, Number]
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,7 +68,7 @@ class Imu(Struct, frozen=True, kw_only=True):
     device: str
     baud_rate: Count = 2_000_000
     model: Literal["ADIS16465-1", "ADIS16465-2", "ADIS16465-3"] = "ADIS16465-1"
-    rate_hz: Positive = 2000.0
+    rate_hz: Annotated[float, Meta(gt=0, le=20_000)] = 2000.0
     batch: Annotated[int, Meta(ge=1, le=200)] = 20
     """Samples per message: one message a window of the resampler."""
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
@@ -98,7 +103,7 @@ class Signal(Struct, frozen=True, kw_only=True):
 
     message: str
     signal: str
-    scale: float = 1.0
+    scale: Number = 1.0
     """Physical value of the DBC times `scale` is pulses, m/s, 0/1 or newtons."""
 
 
@@ -108,7 +113,7 @@ class Wheel(Struct, frozen=True, kw_only=True):
     message: str
     signal: str
     kind: Literal["pulses", "counter", "speed"]
-    scale: float = 1.0
+    scale: Number = 1.0
     """To pulses, or to m/s (a DBC in km/h wants 0.2777777777777778)."""
     counter_bits: Annotated[int, Meta(ge=1, le=63)] = 16
     """Where a counter wraps."""
@@ -141,7 +146,7 @@ class Wheels(Struct, frozen=True, kw_only=True):
     scale_std: Positive = 0.03
     """How well `m_per_pulse` or a wheel's speed is known: a worn tyre is 4 to 5 % smaller than a
     new one (theory.md section 3: +12 and +16 mm of 300)."""
-    delay_s: float = 0.0
+    delay_s: Number = 0.0
     """From the instant that a reading describes until its arrival."""
     delay_std_s: NotNegative = 0.003
     stamp_std_s: NotNegative = 0.002
@@ -155,14 +160,14 @@ class Wheels(Struct, frozen=True, kw_only=True):
 class Resampler(Struct, frozen=True, kw_only=True):
     """2 kHz to 100 Hz, and the order of everything."""
 
-    factor: Count = 20
+    factor: Annotated[int, Meta(ge=1, le=1000)] = 20
     method: Literal["mean", "lowpass"] = "mean"
     """mean: kaspar2023, averages `factor` samples. lowpass: pusman2017, decimating FIR."""
     cutoff_hz: Positive = 16.0
     """Of the low-pass (pusman2017)."""
-    max_bridge_samples: Annotated[int, Meta(ge=0)] = 20
+    max_bridge_samples: Annotated[int, Meta(ge=0, le=20_000)] = 20
     """Longest gap that is interpolated and marked: 10 ms at 2 kHz."""
-    horizon_lag_s: NotNegative = 0.3
+    horizon_lag_s: Annotated[float, Meta(ge=0, le=60)] = 0.3
     """The fusion horizon behind the newest inertial sample: the latest GNSS fix that still counts
     (observed delays up to 0.22 s, and reading)."""
     imu_silence_s: Positive = 0.5
@@ -197,7 +202,7 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """Way to the side after a second, which walks: none on rails, centimetres on a road."""
     heave_std_m_rts: NotNegative = 0.002
     """The same upwards: springs, and the body's pitch against the track's."""
-    pivot_m: float = 0.0
+    pivot_m: Number = 0.0
     """The vehicle's origin before the point that does not slip sideways: a bogie, a rear axle."""
     pivot_std_m: NotNegative = 0.0
     """How well that is known; the filter learns the rest."""
@@ -224,10 +229,10 @@ class Recorder(Struct, frozen=True, kw_only=True):
 
     directory: str = "records"
     split_s: Positive = 300.0
-    split_bytes: Count = 1_000_000_000
+    split_bytes: Annotated[int, Meta(ge=1, le=1_000_000_000_000)] = 1_000_000_000
     flush_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
     """A chunk is closed and synced this often; what a power cut takes is younger than that."""
-    free_space_floor_bytes: Annotated[int, Meta(ge=0)] = 500_000_000
+    free_space_floor_bytes: Annotated[int, Meta(ge=0, le=1_000_000_000_000_000)] = 500_000_000
     """Below this the oldest unprotected record is deleted first."""
     exclude: tuple[str, ...] = ()
     """Key expressions, relative to `tram/<vehicle>/`, that are not recorded."""
@@ -291,7 +296,7 @@ def load(path: Path) -> Vehicle:
         One sentence with the file, the path of the field and what was expected.
     """
     try:
-        data = path.read_bytes()
+        data = read_limited(path, TEXT_LIMIT_BYTES)
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot read the configuration ({error.strerror}); "

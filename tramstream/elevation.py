@@ -100,7 +100,7 @@ def read(path: Path) -> Tile:
     name = re.fullmatch(r"([NS])(\d{2})([EW])(\d{3})", path.name.split(".")[0].upper())
     if name is None:
         raise ConfigError(f"{path}: a tile is called by its south-west corner, like N50E014.hgt")
-    data = read_bytes(path)
+    data = read_bytes(path, 2 * _SIZES[-1] ** 2)
     size = math.isqrt(len(data) // 2)
     if size not in _SIZES or len(data) != 2 * size * size:
         raise ConfigError(

@@ -11,7 +11,6 @@ the line is the longest part without that.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from tramstream import line_fit
 from tramstream.errors import ConfigError
 from tramstream.geodesy import PRAGUE_GEOID_M, LocalLevel
-from tramstream.input_file import read_bytes
+from tramstream.input_file import parse_json, read_bytes
 from tramstream.line import Line, Relief, usual_cant
 from tramstream.line_fit import Course, fit
 from tramstream.profile import Profile
@@ -84,7 +83,7 @@ def read(source: str, geoid_m: float = PRAGUE_GEOID_M) -> Track:
     """
     name, _, chosen = source.partition("#")
     try:
-        document = json.loads(read_bytes(Path(name)))
+        document = parse_json(read_bytes(Path(name)))
     except ValueError as error:
         raise ConfigError(f"{name}: is no GeoJSON: {error}") from error
     return track(document, name, chosen, geoid_m)
@@ -112,7 +111,7 @@ def track(document: Any, name: str, chosen: str = "", geoid_m: float = PRAGUE_GE
     if isinstance(stops, list):
         try:
             stops_m = [float(stop[1]) for stop in stops]
-        except (TypeError, ValueError, IndexError, KeyError) as error:
+        except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
             raise ConfigError(
                 f"{name}: line {label}: property stops must read [[name, chainage], …]"
             ) from error

@@ -8,14 +8,13 @@ itself says where the line runs (`network_lines.lay_lines`).
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from msgspec import Struct, field
 
 from tramstream.errors import ConfigError
-from tramstream.input_file import read_bytes
+from tramstream.input_file import parse_json, read_bytes
 from tramstream.osm import Extract, OsmRoute
 from tramstream.strict import decode_toml
 
@@ -74,7 +73,7 @@ def of_toml(data: bytes, name: str) -> list[LineRequest]:
 def of_geojson(data: bytes, name: str) -> list[LineRequest]:
     """Lines of a GeoJSON text: features that have `stops`; others are passed over."""
     try:
-        document = json.loads(data)
+        document = parse_json(data)
         features = document.get("features", [document])
         properties = [each.get("properties") or {} for each in features]
     except (ValueError, AttributeError, TypeError) as error:

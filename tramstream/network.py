@@ -28,9 +28,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tramstream import network_check
+from tramstream.arrays import read_npy
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel
 
@@ -268,42 +271,96 @@ def load(path: Path) -> Network:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            names = json.loads(archive.read("names.json"))
-            if names.pop("format") != FORMAT:
+            entries = _entries(archive, path.stat().st_size)
+            names = msgspec.json.decode(archive.read(entries.pop("names.json")), type=_Names)
+            if names.format != FORMAT:
                 raise ConfigError(
                     f"{path}: was built by another version; build it anew with `tramstream map "
                     "build`"
                 )
-            arrays = {}
-            for each in archive.namelist():
-                if each.endswith(".npy"):
-                    array = np.lib.format.read_array(io.BytesIO(archive.read(each)))
-                    arrays[each.removesuffix(".npy")] = array
+            arrays = {
+                name.removesuffix(".npy"): read_npy(archive.read(entry))
+                for name, entry in entries.items()
+            }
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+    except _DAMAGES as error:
         raise _no_network(path) from error
-    if set(arrays) | set(names) != {each.name for each in fields(Network)}:
-        raise _no_network(path)
     unpacked: dict[str, Any] = {name: _unpacked(name, array) for name, array in arrays.items()}
-    return Network(
-        **unpacked,
-        stops=tuple(Stop(*each) for each in names.pop("stops")),
-        ways=tuple(Way(*each) for each in names.pop("ways")),
-        lines=tuple(_line(each) for each in names.pop("lines")),
-        **names,
-    )
+    doubt = network_check.doubt_of(unpacked) or _doubt_of(names, len(arrays.get("length_m", ())))
+    if doubt:
+        raise _no_network(path) from ValueError(doubt)
+    told = msgspec.structs.asdict(names)
+    del told["format"]
+    return Network(**unpacked, **told)
+
+
+class _Names(msgspec.Struct, forbid_unknown_fields=True):
+    """What a file holds beside arrays; fields as in `Network`."""
+
+    format: int
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    stops: tuple[Stop, ...]
+    ways: tuple[Way, ...]
+    lines: tuple[RouteLine, ...]
+    source: str
+    node_std_m: float
+
+
+_LEAST_BYTES, _MOST_FOLD = 16 << 20, 20
+"""A network unpacks to five to eight times its size; this is what it may at most."""
+_DAMAGES = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    KeyError,
+    ValueError,
+    NotImplementedError,
+    RuntimeError,
+    msgspec.MsgspecError,
+)
+"""What a damaged file raises (RuntimeError: one that is encrypted, or nests too deeply)."""
+
+
+def _entries(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
+    """What a network's file of `size` bytes holds, by name.
+
+    Raises
+    ------
+    ValueError
+        If it states more than a file of this size can hold, or something else than a network.
+    """
+    found = archive.infolist()
+    stated = sum(entry.file_size for entry in found)
+    known = {"names.json", *(f"{name}.npy" for name in network_check.KINDS)}
+    plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+    if stated > _LEAST_BYTES + _MOST_FOLD * size or len(found) != len(known):
+        raise ValueError(f"{len(found)} entries that state {stated} bytes")
+    if {entry.filename for entry in found} != known:
+        raise ValueError("entries of other names")
+    if any(entry.compress_type not in plain for entry in found):
+        raise ValueError("entries packed in another way")
+    return {entry.filename: entry for entry in found}
+
+
+def _doubt_of(names: _Names, tracks: int) -> str:
+    """What the names say of tracks that are not there; empty if nothing."""
+    of_tracks = [each.track for each in (*names.stops, *names.ways)]
+    of_runs = [run for line in names.lines for run in line.runs]
+    numbers = [names.latitude_rad, names.longitude_rad, names.height_m, names.node_std_m]
+    if not network_check.are_below(of_tracks, tracks):
+        return "stops or ways on tracks that are not there"
+    if not network_check.are_below(of_runs, 2 * tracks):
+        return "lines over tracks that are not there"
+    return "" if network_check.are_numbers(numbers) else "a place that is none"
 
 
 def _no_network(path: Path) -> ConfigError:
     return ConfigError(
         f"{path}: is no track network, or a damaged one; `tramstream map build` makes it anew"
     )
-
-
-def _line(row: list[Any]) -> RouteLine:
-    line = RouteLine(*row)
-    return line._replace(runs=tuple(line.runs), stops=tuple(LineStop(*each) for each in line.stops))
 
 
 _STEP = {"east": 1e-3, "north": 1e-3, "yaw_rad": 1e-6, "curvature_per_m": 1e-7}

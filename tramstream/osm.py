@@ -13,7 +13,6 @@ is an error; what is missing from a route is noted, since routes leave every ext
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, radians
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tramstream.errors import ConfigError
-from tramstream.input_file import read_bytes
+from tramstream.input_file import parse_json, read_bytes
 
 RAILS = ("tram", "light_rail")
 """Values of tag `railway` that make a way a track."""
@@ -149,7 +148,7 @@ def read(paths: Sequence[Path]) -> Extract:
 
 def _read_json(path: Path, extract: Extract) -> None:
     try:
-        document = json.loads(read_bytes(path))
+        document = parse_json(read_bytes(path))
     except ValueError as error:
         raise ConfigError(f"{path}: is no JSON: {error}") from error
     elements = document.get("elements") if isinstance(document, dict) else None
@@ -184,7 +183,7 @@ def _overpass(document: dict[str, Any], path: Path, extract: Extract) -> None:
                     for each in element.get("members", ())
                 )
                 extract.routes[osm_id] = OsmRoute(osm_id, members, tags)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ConfigError(
                 f"{where}: is not as Overpass writes it ({type(error).__name__}: {error})"
             ) from error

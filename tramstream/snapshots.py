@@ -15,6 +15,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from tramstream import private
+from tramstream.arrays import read_npy
 from tramstream.clock import S
 from tramstream.processor import Processor
 from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
@@ -38,7 +39,7 @@ def _encode(value: Any) -> Any:
 def _decode(code: int, data: memoryview) -> Any:
     if code != ARRAY:
         raise ValueError(f"a snapshot holds the unknown extension {code}")
-    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    return read_npy(data)
 
 
 def pack(state: dict[str, Any]) -> bytes:

@@ -33,7 +33,9 @@ def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
     """
     try:
         raw: dict[str, Any] = msgspec.toml.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ConfigError(f"{name}: not TOML that can be used: it nests too deeply") from None
+    except (msgspec.DecodeError, ValueError) as error:
         raise ConfigError(f"{name}: not TOML: {error}") from error
     try:
         _check(raw, msgspec.inspect.type_info(type_), "$")

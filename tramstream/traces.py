@@ -8,7 +8,6 @@ out and counted in the notes.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tramstream.errors import ConfigError
-from tramstream.input_file import read_bytes
+from tramstream.input_file import parse_json, read_bytes
 
 Array = NDArray[np.float64]
 
@@ -162,7 +161,7 @@ def _local(element: ElementTree.Element) -> str:
 # GeoJSON ------------------------------------------------------------------------------------------
 def _geojson(data: bytes, name: str) -> Iterator[_Point]:
     try:
-        document = json.loads(data)
+        document = parse_json(data)
     except ValueError as error:
         raise ConfigError(f"{name}: is neither GPX nor GeoJSON: {error}") from error
     found = False
@@ -231,7 +230,7 @@ def _number(value: Any) -> float:
     """A number; NaN for what is none."""
     try:
         return float(value) if not isinstance(value, bool) else math.nan
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return math.nan
 
 
