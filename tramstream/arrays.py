@@ -32,7 +32,7 @@ def read_npy(data: bytes | memoryview) -> NDArray[Any]:
         shape, is_fortran, kind = read_head(stream)
         size = math.prod(shape) * kind.itemsize
     except (ValueError, TypeError, SyntaxError, KeyError, MemoryError, RecursionError) as error:
-        raise ValueError("no array in .npy form") from error
+        raise ValueError(f"no array in .npy form ({error})") from error
     if kind.hasobject or not kind.itemsize or min(shape, default=0) < 0:
         raise ValueError(f"an array of {kind}")
     begin = stream.tell()
