@@ -38,6 +38,9 @@ REDO = ".repair"
 """Ending of a repair's redo log, after the record's final name."""
 _REDO_MAGIC = b"TramRep1"
 _WRITE = struct.Struct("<QQ")
+_LOT_BYTES = 4 << 20
+_LARGEST = 1 << 62
+"""No file is longer."""
 
 
 def repair(active: Path, storage: Storage = DISK) -> Recovery:
@@ -219,25 +222,38 @@ def _void(found: Scan, end: int) -> list[tuple[int, int]]:
 def _add_chunk(
     tail: bytearray, offset: int, torn: list[bytes], contents: Contents, found: Scan
 ) -> None:
-    """Add messages of torn chunks as a chunk of their own, all definitions before them."""
+    """Add messages of torn chunks as chunks of their own, all definitions before them."""
     definitions = b"".join(
         [encode(schema) for schema in contents.schemas.values()]
         + [encode(channel) for channel in contents.channels.values()]
     )
-    raw, marks, index = assemble(definitions, torn, set(contents.channels))
-    if not index:
-        return
+    tail += definitions
     file_id = found.file_id or file_id_of(b"")
     compressor = zstandard.ZstdCompressor(level=3)
-    guard, chunk, indexes, entry = encode_chunk(compressor, raw, marks, index, file_id)
-    tail += definitions + guard
-    start = offset + len(tail)
-    entry.chunk_start_offset = start
-    entry.message_index_offsets = {
-        id_: start + place for id_, place in entry.message_index_offsets.items()
-    }
-    contents.add_chunk(entry)
-    tail += chunk + indexes
+    for records in _batches(torn):
+        raw, marks, index = assemble(definitions, records, set(contents.channels))
+        if not index:
+            continue
+        guard, chunk, indexes, entry = encode_chunk(compressor, raw, marks, index, file_id)
+        tail += guard
+        start = offset + len(tail)
+        entry.chunk_start_offset = start
+        entry.message_index_offsets = {
+            id_: start + place for id_, place in entry.message_index_offsets.items()
+        }
+        contents.add_chunk(entry)
+        tail += chunk + indexes
+
+
+def _batches(torn: list[bytes]) -> Iterator[list[bytes]]:
+    """Records of torn chunks in lots that one chunk can hold."""
+    lot: list[bytes] = []
+    for records in torn:
+        if lot and sum(map(len, lot)) + len(records) > _LOT_BYTES:
+            yield lot
+            lot = []
+        lot.append(records)
+    yield lot
 
 
 def _write_redo(path: Path, log: _Log, storage: Storage) -> None:
@@ -270,13 +286,14 @@ def _read_redo(path: Path) -> _Log | None:
     body = data[12:]
     if data[:8] != _REDO_MAGIC or data[8:12] != struct.pack("<I", zlib.crc32(body)):
         return None
-    (size,) = struct.unpack_from("<Q", body)
     writes, position = [], 8
-    while position < len(body):
+    while position + _WRITE.size <= len(body):
         offset, length = _WRITE.unpack_from(body, position)
         position += _WRITE.size + length
         writes.append((offset, body[position - length : position]))
-    return size, writes
+    size = int.from_bytes(body[:8], "little")
+    within = all(offset + len(data) <= size for offset, data in writes)
+    return (size, writes) if position == len(body) and within and size < _LARGEST else None
 
 
 def _carry_out(fd: int, log: _Log, storage: Storage) -> None:
