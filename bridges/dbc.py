@@ -17,13 +17,15 @@ import cantools
 from cantools.database.errors import Error as CantoolsError
 
 from tramstream.errors import ConfigError
-from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
+from tramstream.input_file import read_limited
 
 EXTENDED_ID = 0x80000000
 """Set in a frame key whose identifier has 29 bits, as in a DBC."""
 _MESSAGE_BYTES = 1785
 """What J1939's transport protocol carries; a frame has 8, of CAN FD 64."""
 _PAGES = 100_000
+_LIMIT_BYTES = 16_000_000
+"""All of J1939 is 5 MB."""
 _MESSAGE = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
 _SIGNAL = re.compile(rb"\s*SG_\s+(\w+)\s*\w*\s*:\s*(\d+)\|(\d+)@")
 _RANGE = re.compile(rb"(\d+)\s*-\s*(\d+)")
@@ -95,7 +97,7 @@ class Database:
         """
         self.path = path
         try:
-            _check_bounds(read_limited(Path(path), TEXT_LIMIT_BYTES), f"{where}: {path}")
+            _check_bounds(read_limited(Path(path), _LIMIT_BYTES), f"{where}: {path}")
             # Not strict: real DBCs have signals that overlap or stick out; it is checked per frame.
             self._messages: dict[str, Any] = {
                 message.name: message

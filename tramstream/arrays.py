@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import io
 import math
+import tokenize
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+_NO_HEAD = (
+    ValueError,
+    TypeError,
+    SyntaxError,
+    KeyError,
+    MemoryError,
+    RecursionError,
+    tokenize.TokenError,
+)
+"""What numpy raises for heads that are none: it reads them as Python."""
 
 
 def read_npy(data: bytes | memoryview) -> NDArray[Any]:
@@ -31,7 +43,7 @@ def read_npy(data: bytes | memoryview) -> NDArray[Any]:
         )
         shape, is_fortran, kind = read_head(stream)
         size = math.prod(shape) * kind.itemsize
-    except (ValueError, TypeError, SyntaxError, KeyError, MemoryError, RecursionError) as error:
+    except _NO_HEAD as error:
         raise ValueError(f"no array in .npy form ({error})") from error
     if kind.hasobject or not kind.itemsize or min(shape, default=0) < 0:
         raise ValueError(f"an array of {kind}")

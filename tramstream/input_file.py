@@ -14,7 +14,7 @@ from tramstream.errors import ConfigError
 
 LIMIT_BYTES = 150_000_000
 """A city's rails with everything beside them are some tens of megabytes of text."""
-TEXT_LIMIT_BYTES = 4_000_000
+TEXT_LIMIT_BYTES = 1_000_000
 """A configuration, a mapping, a list of lines has some kilobytes."""
 _LARGEST = 1 << 63
 

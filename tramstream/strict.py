@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from typing import Any, TypeVar
 
 import msgspec
 import msgspec.inspect
 
 from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES
 
+_DEEP_KEY = re.compile(rb"""(?:\.[ \t]*(?:[\w-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')[ \t]*){40}""")
+"""A key of forty parts: Python's parser takes time with the square of them."""
 Decoded = TypeVar("Decoded", bound=msgspec.Struct)
 
 
@@ -31,6 +35,8 @@ def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
     ConfigError
         One sentence with the file, the path of the field and what was expected.
     """
+    if len(data) > TEXT_LIMIT_BYTES or _DEEP_KEY.search(data):
+        raise ConfigError(f"{name}: not TOML that can be used: it is too long or nests too deeply")
     try:
         raw: dict[str, Any] = msgspec.toml.decode(data)
     except RecursionError:
