@@ -109,7 +109,7 @@ def check_packages(requirements: list[str]) -> list[Finding]:
 
 # Rights -------------------------------------------------------------------------------------------
 def check_rights() -> list[Finding]:
-    """Who runs this, and whether others can write where machine code is taken from."""
+    """Who runs this, and whether others could write where machine code is taken from."""
     if os.geteuid() == 0:
         text = "runs as root: whoever finds a fault in a decoder has the whole machine"
         cure = (
@@ -121,7 +121,7 @@ def check_rights() -> list[Finding]:
         found = [ok("user", pwd.getpwuid(os.geteuid()).pw_name)]
     machine_code.folder()
     for text in machine_code.refused():
-        cure = "delete it, or set XDG_CACHE_HOME to a folder of your own"
+        cure = "see who did that; XDG_CACHE_HOME names another place"
         found.append(warning("machine code", text, cure))
     return found
 

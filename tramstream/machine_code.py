@@ -59,7 +59,7 @@ def folder() -> Path:
 
 
 def refused() -> list[str]:
-    """A sentence for each folder that is not used because it is not this user's alone."""
+    """A sentence for each folder whose machine code was not this user's alone, and is not used."""
     return list(_refused)
 
 
@@ -88,6 +88,8 @@ def _emptied(place: Path) -> str:
         place.chmod(0o700)
         for each in place.iterdir():
             _remove(each)
+        mode = stat.S_IMODE(status.st_mode)
+        _refused.append(f"{place}: others could write there (mode {mode:o}); it was emptied")
     return private.doubt_of(place)
 
 
@@ -102,7 +104,7 @@ def ensure(say: Callable[[str], None]) -> None:
     """See to it that all kernels are compiled; says so when that has to be waited for."""
     here = folder()
     for sentence in _refused:
-        say(f"{sentence} (it is kept in {here})")
+        say(f"{sentence} (machine code is kept in {here})")
     if _whole():
         return
     say("compiling the filters for this machine; once, it takes about half a minute")
