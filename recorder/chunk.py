@@ -43,7 +43,7 @@ MAX_CHUNK_BYTES = 32 << 20
 some megabytes; what states more is damaged, or made to take all memory."""
 MAX_GUARD_BYTES = 1 << 18
 """A guard of 32,000 blocks."""
-_LEAST_BYTES, _MOST_FOLD = 16 << 20, 100
+_LEAST_BYTES, _MOST_FOLD = 12 << 20, 60
 _GUARD_HEAD = struct.Struct(f"<8s8s{CHUNK_ZSTD.size}sI")
 
 
@@ -134,7 +134,7 @@ def allowed_bytes(size: int) -> int:
 
     Records of rides decompress to two to three times their size, the emptiest of other robots (maps
     without a wall) to some tens. A chunk cannot give more than it states, so what a file of 131 kB
-    can take is 29 MB, however many chunks it has and however often its summary names one.
+    can take is 20 MB, however many chunks it has and however often its summary names one.
     """
     return _LEAST_BYTES + _MOST_FOLD * size
 
