@@ -347,7 +347,7 @@ def _entries(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
 
 def _doubt_of(names: _Names, tracks: int) -> str:
     """What the names say of tracks that are not there; empty if nothing."""
-    of_tracks = [each.track for each in (*names.stops, *names.ways)]
+    of_tracks = [stop.track for stop in names.stops] + [way.track for way in names.ways]
     of_runs = [run for line in names.lines for run in line.runs]
     numbers = [names.latitude_rad, names.longitude_rad, names.height_m, names.node_std_m]
     if not network_check.are_below(of_tracks, tracks):
