@@ -44,6 +44,11 @@ some megabytes; what states more is damaged, or made to take all memory."""
 MAX_GUARD_BYTES = 1 << 18
 """A guard of 32,000 blocks."""
 _LEAST_BYTES, _MOST_FOLD = 12 << 20, 60
+_OUR_FOLD = 50
+"""What compresses better than that we store as it is: our own records stay within the bound."""
+_ZSTD_HEAD = bytes.fromhex("28b52ffd a0")
+"""Magic number, and that one segment follows whose length is told in four bytes."""
+_RAW_BLOCK_BYTES = 128 << 10
 _GUARD_HEAD = struct.Struct(f"<8s8s{CHUNK_ZSTD.size}sI")
 
 
@@ -88,15 +93,11 @@ def encode_chunk(
     `marks` are the ends of records after which a block ends; `index` alternates log time and offset
     for each channel.
     """
-    frame = compressor.compressobj(size=len(raw))
-    data, blocks, begin = [], [], 0
+    blocks: list[int] = []
     with memoryview(raw) as view:
-        for mark in marks:
-            block = frame.compress(view[begin:mark])
-            block += frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-            data.append(block)
-            begin = mark
-        data.append(frame.compress(view[begin:]) + frame.flush())
+        data = _compressed(compressor, view, marks)
+        if len(raw) > _OUR_FOLD * sum(map(len, data)):
+            data = _stored(view, marks)
         crc = zlib.crc32(view)
     for block in data:
         blocks += [len(block), zlib.crc32(block)]
@@ -127,6 +128,42 @@ def encode_chunk(
     )
     guard = RECORD.pack(GUARD, len(content)) + content
     return guard, b"".join([head, *data]), b"".join(indexes), entry
+
+
+def _compressed(
+    compressor: zstandard.ZstdCompressor, view: memoryview, marks: list[int]
+) -> list[bytes]:
+    """A zstd frame, block by block."""
+    frame = compressor.compressobj(size=len(view))
+    data, begin = [], 0
+    for mark in marks:
+        block = frame.compress(view[begin:mark])
+        data.append(block + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
+        begin = mark
+    data.append(frame.compress(view[begin:]) + frame.flush())
+    return data
+
+
+def _stored(view: memoryview, marks: list[int]) -> list[bytes]:
+    """A zstd frame of raw blocks (RFC 8878, 3.1.1), which gives no more than it takes.
+
+    Somebody who publishes megabytes of zeros would else make a record that no reader takes, for it
+    looks like a bomb (`allowed_bytes`).
+    """
+    data, begin = [], 0
+    lead = _ZSTD_HEAD + struct.pack("<I", len(view))
+    for end in (*marks, len(view)):
+        pieces, lead = [lead], b""
+        while True:
+            size = min(end - begin, _RAW_BLOCK_BYTES)
+            final = begin + size == end
+            last = final and end == len(view) and len(data) == len(marks)
+            pieces += [(size << 3 | last).to_bytes(3, "little"), view[begin : begin + size]]
+            begin += size
+            if final:
+                break
+        data.append(b"".join(pieces))
+    return data
 
 
 def allowed_bytes(size: int) -> int:

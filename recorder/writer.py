@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import zstandard
-from google.protobuf.descriptor import FileDescriptor
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, Schema
@@ -30,7 +28,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, S
 from tramstream import __version__
 from tramstream.clock import boot_id
 from tramstream.errors import RecordError
-from tramstream.keys import SCHEMA_VERSION, Key
+from tramstream.keys import SCHEMA_VERSION, Key, descriptor_set
 from tramstream.proto.health_pb2 import NodeHealth
 from tramstream.recorder.chunk import BLOCK_BYTES, decode_chunk, encode_chunk, read_chunk_head
 from tramstream.recorder.layout import MAGIC, MESSAGE, RECORD, encode, entries_of, file_id_of
@@ -38,6 +36,8 @@ from tramstream.recorder.sink import LIMIT_BYTES, Loss, LossBook, Sink, Worker
 from tramstream.recorder.summary import Contents
 
 _SOFTWARE = f"tramstream {__version__}"
+MAX_MESSAGE_BYTES = 16 << 20
+"""A longer message would make a chunk that no reader takes (`chunk.MAX_CHUNK_BYTES`)."""
 CHUNK_BYTES = 1 << 20
 """A chunk is closed at this size even between flushes."""
 _PAYLOAD_FROM = MESSAGE.size - RECORD.size
@@ -212,8 +212,8 @@ class RecordFile:
         `sequence` the lower 32 bits are kept.
         """
         stream = self._streams.get(topic) or self._register(topic, type_)
-        if self._full:
-            self._losses.add(topic, publish_ns)
+        if self._full or len(payload) > MAX_MESSAGE_BYTES:
+            self._refuse(topic, len(payload), publish_ns)
             return
         self._add(stream, payload, log_ns, publish_ns, sequence)
 
@@ -221,7 +221,19 @@ class RecordFile:
         self, channel_id: int, payload: bytes, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
         """Add one message to a channel that was given by `define`."""
+        if len(payload) > MAX_MESSAGE_BYTES:
+            self._refuse(self._by_id[channel_id].topic, len(payload), publish_ns)
+            return
         self._add(self._by_id[channel_id], payload, log_ns, publish_ns, sequence)
+
+    def _refuse(self, topic: str, size: int, publish_ns: int) -> None:
+        """Count a message that cannot be taken; who waits for the file is told."""
+        self._losses.add(topic, publish_ns)
+        if not self._live:
+            raise RecordError(
+                f"{self.path}: a message of {size / 1e6:.0f} MB on {topic} is too long for a "
+                f"record, which takes {MAX_MESSAGE_BYTES / 1e6:.0f} MB at most; leave the key out"
+            )
 
     def _add(
         self, stream: _Stream, payload: bytes, log_ns: int, publish_ns: int, sequence: int
@@ -376,18 +388,7 @@ class RecordFile:
 
 def schema_of(type_: Any, id_: int) -> Schema:
     """The schema record of a protobuf type: its file and all that it imports."""
-    files = FileDescriptorSet()
-    seen: set[str] = set()
-
-    def add(file: FileDescriptor) -> None:
-        if file.name not in seen:
-            seen.add(file.name)
-            for dependency in file.dependencies:
-                add(dependency)
-            file.CopyToProto(files.file.add())
-
-    add(type_.DESCRIPTOR.file)
-    data = files.SerializeToString(deterministic=True)
+    data = descriptor_set(type_).SerializeToString(deterministic=True)
     return Schema(id_, data, "protobuf", type_.DESCRIPTOR.full_name)
 
 

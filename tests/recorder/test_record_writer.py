@@ -20,7 +20,7 @@ from tramstream.errors import RecordError
 from tramstream.proto.health_pb2 import NodeHealth
 from tramstream.recorder.reader import open_record
 from tramstream.recorder.sink import Worker
-from tramstream.recorder.writer import RecordFile, host_metadata
+from tramstream.recorder.writer import MAX_MESSAGE_BYTES, RecordFile, host_metadata
 
 CHOICES = (keys.IMU_BATCH, keys.GNSS_FIX, keys.GNSS_LOCATION, keys.HEARTBEAT.at("imu"))
 
@@ -220,6 +220,38 @@ def test_exception_while_writing_leaves_a_recoverable_file(tmp_path):
         fail()
     assert not path.exists()
     assert read(tmp_path / "a.mcap.active") == plain(traffic(20))
+
+
+def test_message_that_no_reader_would_take_is_counted_and_the_others_are_kept(tmp_path):
+    """Somebody publishes 20 MB on one of our keys."""
+    record = RecordFile(tmp_path / "a.mcap", VEHICLE, worker=Worker(threaded=False))
+    sent = traffic(3)
+    append(record, sent[:2])
+    huge = bytes(20 << 20)
+    record.append(sent[2].topic, sent[2].key, huge, sent[2].log_ns, sent[2].publish_ns, 3)
+    append(record, sent[2:])
+    record.close()
+    (loss,) = record.take_losses()
+    assert (loss.topic, loss.count) == (sent[2].topic, 1)
+    assert read(tmp_path / "a.mcap") == plain(sent)
+    with pytest.raises(RecordError, match=r"21 MB on .* leave the key out"):
+        RecordFile(tmp_path / "b.mcap", VEHICLE).append(sent[2].topic, sent[2].key, huge, 1, 1, 1)
+
+
+@pytest.mark.parametrize("byte", [b"x", b"\0"])
+def test_longest_messages_can_be_read_again_however_well_they_compress(tmp_path, byte):
+    """A stranger who publishes zeros does not make a record that readers take for a bomb."""
+    one = traffic(1)[0]
+    sizes = (0, 1_000_000, MAX_MESSAGE_BYTES, 3, 1023, 131_072, 131_073, MAX_MESSAGE_BYTES)
+    sent = [one._replace(payload=byte * size, sequence=n) for n, size in enumerate(sizes)]
+    path = write(tmp_path / "a.mcap", sent, flush_every=3)
+    assert read(path) == plain(sent)
+    with path.open("rb") as file:
+        found = [message for _, _, message in make_reader(file).iter_messages()]
+    assert [message.data for message in found] == [one.payload for one in sent]
+    cut = path.with_name("cut.mcap")
+    cut.write_bytes(path.read_bytes()[:-2_000_000])
+    assert read(cut) == plain(sent[:7])
 
 
 def test_times_need_not_rise(tmp_path):
