@@ -15,8 +15,8 @@ from google.protobuf.message import DecodeError
 
 LATEST_NS = (1 << 63) - 1
 """Year 2262; numpy and databases hold no later instant, and no clock of ours shows one."""
-EARLIEST_S, LATEST_S = -62_135_596_800, 9_223_372_036
-"""Of a Foxglove timestamp: from the year 1 on, which is protobuf's own bound."""
+LATEST_S = 9_223_372_036
+"""The same of a Foxglove timestamp, before 1970 as well."""
 
 
 class Undecodable(NamedTuple):
@@ -61,7 +61,7 @@ def _timestamp_is_one(message: Any) -> bool:
     if field is None or field.message_type is None:
         return True
     seconds = getattr(message.timestamp, "seconds", 0)
-    return bool(EARLIEST_S <= seconds < LATEST_S)
+    return bool(abs(seconds) < LATEST_S)
 
 
 def name_of(enum: EnumTypeWrapper, number: int) -> str:

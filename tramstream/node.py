@@ -26,6 +26,7 @@ from tramstream.keys import Key
 from tramstream.losses import LossCounter
 from tramstream.processor import Ledger, Sample, stamp
 from tramstream.proto.health_pb2 import NodeHealth, StageLedger
+from tramstream.refusals import Refusals
 from tramstream.ring import Ring
 
 RING_CAPACITY = 8192
@@ -69,6 +70,7 @@ class Node(ABC):
         self.stop = stop
         self.ring: Ring[Any] = Ring(RING_CAPACITY)
         self.losses = LossCounter(name)
+        self.refusals = Refusals(name)
         self.faults = 0
         self.trouble = ""
         """One sentence when something is wrong; part of the heartbeat."""
@@ -201,9 +203,18 @@ class Node(ABC):
             self._fault_told_ns = now_ns
             self.log("".join(traceback.format_exception(error)), Log.ERROR)
 
+    def tell_refusals(self) -> None:
+        """Name what was read and not used since the last time; say the news of it."""
+        for loss in self.refusals.take_losses():
+            self.publish(keys.LOSS.at(self.name), loss)
+        for sentence in self.refusals.take_sentences(self.clock.now_ns()):
+            self.log(sentence)
+
     def heartbeat(self) -> None:
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        text = _printable(self.trouble)
+        self.tell_refusals()
+        refused = self.refusals.text(self.clock.now_ns())
+        text = _printable("; ".join(filter(None, (self.trouble, refused))))
         if self.faults and not text:
             text = f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
         self.publish(
