@@ -94,6 +94,10 @@ class RecorderNode(Node):
 
     def _find(self, topic: str) -> Key | None:
         path = keys.split(topic)[1]
+        if keys.is_apart(path):
+            path = path.partition(keys.APART)[0]
+            who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
+            self.log(f"{path} comes from a second publisher, {who}; it is recorded as {topic}")
         if any(keys.matches(expression, path) for expression in self._settings.exclude):
             return None
         key = keys.find(path)
@@ -128,6 +132,7 @@ class RecorderNode(Node):
         self.heartbeat()
         while len(self.ring):
             self._turn(0.0)
+        self.settle_sources(at_end=True)
         if not self.recording.close():
             self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
         self._tell()

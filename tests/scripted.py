@@ -126,7 +126,17 @@ class Sender:
 
     def send(self, key: Key, message: Any, skip: int = 0) -> None:
         """Publish `message`; `skip` sequence numbers are lost before it."""
-        sequence = self._sequences.get(key.path, 0) + 1 + skip
-        self._sequences[key.path] = sequence
-        message.sequence = sequence
-        self.bus.publish(key.on(VEHICLE), message.SerializeToString(), key.encoding, sequence)
+        message.sequence = self._number(key, skip)
+        self._publish(key, message.SerializeToString())
+
+    def send_bytes(self, key: Key, payload: bytes) -> None:
+        """Publish what need not be a message."""
+        self._number(key, 0)
+        self._publish(key, payload)
+
+    def _number(self, key: Key, skip: int) -> int:
+        number = self._sequences[key.path] = self._sequences.get(key.path, 0) + 1 + skip
+        return number
+
+    def _publish(self, key: Key, payload: bytes) -> None:
+        self.bus.publish(key.on(VEHICLE), payload, key.encoding, self._sequences[key.path])

@@ -16,14 +16,16 @@ import struct
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import zenoh
 
-from tramstream import keys
+from tramstream import keys, tokens
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError
+from tramstream.tokens import Announced
 
 HEADER = struct.Struct("<QQI")
 """Attachment of every put: publish_ns, sequence, session."""
@@ -68,11 +70,14 @@ class Bus(ABC):
         self.clock = clock
         self._lock = threading.RLock()
         self._last_publish_ns: dict[str, int] = {}
+        self._tokens: dict[str, Callable[[], None]] = {}
         self.renew_session()
 
     def renew_session(self) -> None:
         """Begin sequence numbers anew: readers take it for another start of the publisher."""
-        self.session = int.from_bytes(os.urandom(4), "little")
+        self.session = int.from_bytes(os.urandom(4), "little") or 1
+        for topic in list(self._tokens):
+            self.announce(topic)
 
     def publish(
         self,
@@ -104,13 +109,28 @@ class Bus(ABC):
     def subscribe(self, expression: str, deliver: Deliver) -> Subscription:
         """Call `deliver` for every message on a key that `expression` includes."""
 
-    @abstractmethod
     def announce(self, topic: str) -> None:
-        """Be alive under `topic` until closed."""
+        """Be alive under `topic`, with the session of all that is published, until closed."""
+        announced = Announced(topic, self.clock.now_ns(), self.session)
+        withdraw, self._tokens[topic] = self._tokens.get(topic), self._declare(announced.token)
+        if withdraw is not None:
+            withdraw()
 
     @abstractmethod
+    def _declare(self, token: str) -> Callable[[], None]:
+        """Be alive under `token` until closed, or what is returned is called."""
+
+    def announced(self, expression: str) -> list[Announced]:
+        """Who is announced now under topics that `expression` includes."""
+        return tokens.read(self._alive(f"{expression}/*"))
+
     def alive(self, expression: str) -> list[str]:
         """Topics announced now."""
+        return sorted({each.topic for each in self.announced(expression)})
+
+    @abstractmethod
+    def _alive(self, expression: str) -> list[str]:
+        """Tokens declared now."""
 
     @abstractmethod
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
@@ -165,11 +185,12 @@ class LocalBus(Bus):
             self._readers.append(entry)
         return _Closing(close)
 
-    def announce(self, topic: str) -> None:
-        self._announced.append(topic)
+    def _declare(self, token: str) -> Callable[[], None]:
+        self._announced.append(token)
+        return partial(self._announced.remove, token)
 
-    def alive(self, expression: str) -> list[str]:
-        return sorted(topic for topic in self._announced if keys.matches(expression, topic))
+    def _alive(self, expression: str) -> list[str]:
+        return [token for token in self._announced if keys.matches(expression, token)]
 
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         self._answers.append((expression, reply))
@@ -289,12 +310,14 @@ class ZenohBus(Bus):
         self._held.append(subscriber)
         return _Closing(subscriber.undeclare)
 
-    def announce(self, topic: str) -> None:
-        self._held.append(self._session.liveliness().declare_token(topic))
+    def _declare(self, token: str) -> Callable[[], None]:
+        declared = self._session.liveliness().declare_token(token)
+        withdraw: Callable[[], None] = declared.undeclare
+        return withdraw
 
-    def alive(self, expression: str) -> list[str]:
+    def _alive(self, expression: str) -> list[str]:
         replies = self._session.liveliness().get(expression, timeout=1.0)
-        return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok is not None})
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         def callback(query: Any) -> None:

@@ -137,7 +137,11 @@ class ProcessorNode(Node):
     def handle(self, envelope: Envelope) -> None:
         self._received += 1
         topic = envelope.topic
-        key = self._by_topic[topic]
+        key = self._by_topic.get(topic)
+        if key is None:
+            who = self.sources.name(envelope.session)
+            self._refuse(envelope, Loss.SOURCE, f"is from a second publisher, {who}")
+            return
         message = decode(key.type, envelope.payload, topic)
         if isinstance(message, Undecodable):
             self._refuse(envelope, Loss.UNDECODABLE, f"holds bytes that are {message.reason}")

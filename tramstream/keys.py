@@ -23,6 +23,8 @@ SCHEMA_VERSION = 1
 """Raised whenever a message changes so that an older reader would misread it."""
 
 ANY_SOURCE = "*"
+APART = "@"
+"""Stands in no key; see `apart`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +171,16 @@ def full(vehicle: str, path: str) -> str:
 def alive(vehicle: str, node: str) -> str:
     """Liveliness token of a node: gone within milliseconds when its process dies."""
     return f"{ROOT}/{vehicle}/health/{node}/alive"
+
+
+def apart(topic: str, session: int) -> str:
+    """Where the recorder keeps what a second publisher sends on `topic`."""
+    return f"{topic}{APART}{session:08x}"
+
+
+def is_apart(topic: str) -> bool:
+    """Whether `topic` is such a place: readers show it, and nobody computes with it."""
+    return APART in topic
 
 
 def schema(type_name: str) -> str:
