@@ -12,6 +12,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
 from tramstream.ports import join_reads
 from tramstream.proto.raw_pb2 import RawBytes
+from tramstream.tokens import Announced
 
 START_NS = 1_700_000_000 * S
 VEHICLE = "t1"
@@ -118,11 +119,27 @@ class Ear:
 
 
 class Sender:
-    """Publishes as another process would: with its own session and sequence numbers."""
+    """Publishes as another process would: with its own session and sequence numbers.
 
-    def __init__(self, bus: LocalBus) -> None:
+    Without a `session`, with the bus' own.
+    """
+
+    def __init__(self, bus: LocalBus, session: int | None = None) -> None:
         self.bus = bus
+        self.session = session
         self._sequences: dict[str, int] = {}
+        self._end: Callable[[], None] | None = None
+
+    def announce(self, node: str) -> None:
+        """Be alive as a node is."""
+        assert self.session is not None
+        topic = keys.alive(VEHICLE, node)
+        self._end = self.bus._declare(Announced(topic, self.bus.clock.now_ns(), self.session).token)
+
+    def end(self) -> None:
+        """Die: the token is gone."""
+        assert self._end is not None
+        self._end()
 
     def send(self, key: Key, message: Any, skip: int = 0) -> None:
         """Publish `message`; `skip` sequence numbers are lost before it."""
@@ -139,4 +156,9 @@ class Sender:
         return number
 
     def _publish(self, key: Key, payload: bytes) -> None:
-        self.bus.publish(key.on(VEHICLE), payload, key.encoding, self._sequences[key.path])
+        ours, bus = self.bus.session, self.bus
+        try:
+            bus.session = ours if self.session is None else self.session
+            bus.publish(key.on(VEHICLE), payload, key.encoding, self._sequences[key.path])
+        finally:
+            bus.session = ours

@@ -57,7 +57,9 @@ def fix(step: int) -> GnssFix:
     )
 
 
-def drive(sender: Sender, clock: ManualClock, steps: range) -> Iterator[Callable[[], None]]:
+def drive(
+    sender: Sender, clock: ManualClock, steps: range, fixes: bool = True
+) -> Iterator[Callable[[], None]]:
     """One message each, so that the loop takes it before the next one."""
 
     def inertial(step: int) -> None:
@@ -72,7 +74,7 @@ def drive(sender: Sender, clock: ManualClock, steps: range) -> Iterator[Callable
         yield partial(inertial, step)
         if step % 2 == 0:
             yield partial(odometry, step)
-        if step % 20 == 0:
+        if fixes and step % 20 == 0:
             yield partial(sender.send, keys.GNSS_FIX, fix(step))
 
 
