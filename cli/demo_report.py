@@ -112,6 +112,8 @@ def _errors(report: DemoReport, truth: Any, estimate: Any, gnss: Any) -> None:
         return
     inside = (estimate[:, 0] >= truth[0, 0]) & (estimate[:, 0] <= truth[-1, 0])
     estimate = estimate[inside]
+    if not len(estimate):
+        return
     arc = np.interp(estimate[:, 0], truth[:, 0], truth[:, 1])
     speed = np.interp(estimate[:, 0], truth[:, 0], truth[:, 2])
     error = (estimate[:, 1] - estimate[0, 1]) - (arc - arc[0])
