@@ -157,6 +157,22 @@ class Contract:
         ]
         assert self.reader.alive("t/x/health/*/alive") == []
 
+    def test_who_is_announced_is_known_by_session_also_after_a_new_start(self) -> None:
+        topic = "t/v/health/replay/alive"
+        self.sender.announce(topic)
+        until(lambda: self.reader.announced(topic), "the token")
+        (first,) = self.reader.announced(topic)
+        assert (first.topic, first.session) == (topic, self.sender.session)
+        assert 0 < first.since_ns <= self.reader.clock.now_ns()
+        self.sender.renew_session()
+        until(
+            lambda: (
+                [each.session for each in self.reader.announced(topic)] == [self.sender.session]
+            ),
+            "the new session instead of the old one",
+        )
+        assert self.sender.session not in (0, first.session)
+
     def test_questions_are_answered_and_silence_is_none(self) -> None:
         self.reader.answer("t/schema/*", lambda t: t.encode() if t.endswith("known") else None)
         until(lambda: self.sender.ask("t/schema/known"), "the answer")

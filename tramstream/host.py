@@ -26,7 +26,7 @@ from tramstream.ports import Port, PortReader
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth, Loss
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
-from tramstream.stamps import MAX_AHEAD_S, ahead_ns
+from tramstream.stamps import MAX_AHEAD_NS, ahead_ns
 
 TICK_S = 0.1
 RAW_S = 0.1
@@ -147,11 +147,11 @@ class ProcessorNode(Node):
             self._refuse(envelope, Loss.UNDECODABLE, f"holds bytes that are {message.reason}")
             return
         ahead = ahead_ns(message, envelope.arrival_ns)
-        if ahead > MAX_AHEAD_S * S:
+        if ahead > MAX_AHEAD_NS:
             self._refuse(
                 envelope,
                 Loss.STAMP,
-                f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {MAX_AHEAD_S:g} s",
+                f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {MAX_AHEAD_NS / S:g} s",
             )
             return
         if self.refusals.runs:

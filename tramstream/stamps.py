@@ -9,25 +9,28 @@ continued and from the beginning again.
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 from tramstream.clock import S
 from tramstream.proto.raw_pb2 import ImuBatch
 
-MAX_AHEAD_S = 0.5
+MAX_AHEAD_NS = S // 2
 """Transport only delays, so a right stamp is ahead of its arrival by no more than the fit of the
-device's clock is off: below 50 ms in tests/test_clock.py while it settles. Ten times that; the
-horizon that such a sample could move is back within one tick of a bus that is silent."""
-MAX_BATCH_S = 10.0
+device's clock is off. That is milliseconds; after a start on a stalled machine it may be up to the
+step of 1 s at which `ClockFit` begins anew, slewed away by a tenth. Beyond half of it a sample would
+hold up the horizon of all others for as long as it is wrong: it is rather not used."""
+MAX_BATCH_NS = 10 * S
 """A batch of samples lasts 10 ms, or a second where a file is imported."""
 
 
 def ahead_ns(message: Any, arrival_ns: int) -> float:
     """How far the newest instant of `message` is ahead of its arrival; infinite if it has none."""
-    newest_ns: float = message.stamp_ns
+    ahead: float = message.stamp_ns - arrival_ns
     if type(message) is ImuBatch:
-        lasts_ns = message.period_ns * max(len(message.gyro_x) - 1, 0)
-        if not 0 <= lasts_ns <= MAX_BATCH_S * S:  # NaN as well
-            return float("inf")
-        newest_ns += lasts_ns
-    return newest_ns - arrival_ns
+        count = len(message.gyro_x)
+        lasts_ns = message.period_ns * (count - 1) if count else 0.0
+        if not 0.0 <= lasts_ns <= MAX_BATCH_NS:  # NaN as well
+            return inf
+        ahead += lasts_ns
+    return ahead
