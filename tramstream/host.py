@@ -148,11 +148,9 @@ class ProcessorNode(Node):
             return
         ahead = ahead_ns(message, envelope.arrival_ns)
         if ahead > MAX_AHEAD_NS:
-            self._refuse(
-                envelope,
-                Loss.STAMP,
-                f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {MAX_AHEAD_NS / S:g} s",
-            )
+            limit_s = MAX_AHEAD_NS / S
+            why = f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {limit_s:g} s"
+            self._refuse(envelope, Loss.STAMP, why)
             return
         if self.refusals.runs:
             self.refusals.close(topic)

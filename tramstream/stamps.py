@@ -18,8 +18,8 @@ from tramstream.proto.raw_pb2 import ImuBatch
 MAX_AHEAD_NS = S // 2
 """Transport only delays, so a right stamp is ahead of its arrival by no more than the fit of the
 device's clock is off. That is milliseconds; after a start on a stalled machine it may be up to the
-step of 1 s at which `ClockFit` begins anew, slewed away by a tenth. Beyond half of it a sample would
-hold up the horizon of all others for as long as it is wrong: it is rather not used."""
+step of 1 s at which `ClockFit` begins anew, slewed away by a tenth. Beyond half of it a sample
+would hold up the horizon of all others for as long as it is wrong: it is rather not used."""
 MAX_BATCH_NS = 10 * S
 """A batch of samples lasts 10 ms, or a second where a file is imported."""
 
