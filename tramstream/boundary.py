@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 from google.protobuf.message import DecodeError
 
 LATEST_NS = (1 << 63) - 1
@@ -64,7 +63,7 @@ def _timestamp_is_one(message: Any) -> bool:
     return bool(abs(seconds) < LATEST_S)
 
 
-def name_of(enum: EnumTypeWrapper, number: int) -> str:
+def name_of(enum: Any, number: int) -> str:
     """Name of an enumeration's value; of one that only a newer version knows, its number."""
     known = enum.DESCRIPTOR.values_by_number.get(number)
     return str(known.name) if known is not None else f"UNKNOWN_{number}"

@@ -159,7 +159,7 @@ class ProcessorNode(Node):
             self._note(sample, envelope.arrival_ns)
         self.dispatch(sample)
 
-    def _refuse(self, envelope: Envelope, cause: Loss.Cause.ValueType, why: str) -> None:
+    def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: str) -> None:
         self.refusals.refuse(envelope, cause, why, self.clock.now_ns())
 
     def handle_item(self, item: Any) -> None:

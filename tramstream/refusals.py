@@ -27,7 +27,7 @@ MOST_KINDS = 100
 class _Run:
     """Messages of one topic that were refused one after another, for one cause."""
 
-    cause: Loss.Cause.ValueType
+    cause: Loss.Cause
     count: int
     first_publish_ns: int
     last_publish_ns: int
@@ -62,9 +62,7 @@ class Refusals:
         self._last_ns = 0
         self._last_text = ""
 
-    def refuse(
-        self, envelope: Envelope, cause: Loss.Cause.ValueType, why: str, now_ns: int
-    ) -> None:
+    def refuse(self, envelope: Envelope, cause: Loss.Cause, why: str, now_ns: int) -> None:
         """Take note of a message that is not used; `why` is the sentence's predicate."""
         topic = envelope.topic
         self.count += 1
