@@ -9,6 +9,7 @@ from pathlib import Path
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import config, keys
+from tramstream.boundary import Undecodable, decode
 from tramstream.bus import Bus, Envelope
 from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Recorder, Vehicle
@@ -74,7 +75,7 @@ class RecorderNode(Node):
             self._ledger.dropped += 1
             return
         self._ledger.delivered += 1
-        if key is keys.GNSS_TIME:
+        if key is keys.GNSS_TIME and not keys.is_apart(topic):
             self._learn_time(envelope.payload)
         self.recording.append(
             topic,
@@ -87,7 +88,9 @@ class RecorderNode(Node):
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
-        known = GnssTime.FromString(payload)
+        known = decode(GnssTime, payload, keys.GNSS_TIME.path)
+        if isinstance(known, Undecodable):
+            return  # recorded as it is; whoever uses it says so
         if known.HasField("gps_time_ns") and known.HasField("leap_seconds"):
             utc_ns = known.gps_time_ns + (GPS_EPOCH_UNIX_S - known.leap_seconds) * S
             self.recording.utc.learn(utc_ns, known.stamp_ns)

@@ -16,7 +16,6 @@ import struct
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +24,7 @@ import zenoh
 from tramstream import keys, tokens
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError
-from tramstream.tokens import Announced
+from tramstream.subscription import Subscription
 
 HEADER = struct.Struct("<QQI")
 """Attachment of every put: publish_ns, sequence, session."""
@@ -53,14 +52,6 @@ class Envelope(NamedTuple):
 
 
 Deliver = Callable[[Envelope], None]
-
-
-class Subscription(ABC):
-    """An open subscription."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End it; may be called twice."""
 
 
 class Bus(ABC):
@@ -111,7 +102,7 @@ class Bus(ABC):
 
     def announce(self, topic: str) -> None:
         """Be alive under `topic`, with the session of all that is published, until closed."""
-        announced = Announced(topic, self.clock.now_ns(), self.session)
+        announced = tokens.Announced(topic, self.clock.now_ns(), self.session)
         withdraw, self._tokens[topic] = self._tokens.get(topic), self._declare(announced.token)
         if withdraw is not None:
             withdraw()
@@ -120,7 +111,7 @@ class Bus(ABC):
     def _declare(self, token: str) -> Callable[[], None]:
         """Be alive under `token` until closed, or what is returned is called."""
 
-    def announced(self, expression: str) -> list[Announced]:
+    def announced(self, expression: str) -> list[tokens.Announced]:
         """Who is announced now under topics that `expression` includes."""
         return tokens.read(self._alive(f"{expression}/*"))
 
@@ -142,16 +133,6 @@ class Bus(ABC):
 
     @abstractmethod
     def close(self) -> None: ...
-
-
-class _Closing(Subscription):
-    def __init__(self, close: Callable[[], None]) -> None:
-        self._close: Callable[[], None] | None = close
-
-    def close(self) -> None:
-        close, self._close = self._close, None
-        if close is not None:
-            close()
 
 
 class LocalBus(Bus):
@@ -183,11 +164,11 @@ class LocalBus(Bus):
 
         with self._lock:
             self._readers.append(entry)
-        return _Closing(close)
+        return Subscription(close)
 
     def _declare(self, token: str) -> Callable[[], None]:
         self._announced.append(token)
-        return partial(self._announced.remove, token)
+        return lambda: self._announced.remove(token)
 
     def _alive(self, expression: str) -> list[str]:
         return [token for token in self._announced if keys.matches(expression, token)]
@@ -308,11 +289,10 @@ class ZenohBus(Bus):
 
         subscriber = self._session.declare_subscriber(expression, callback)
         self._held.append(subscriber)
-        return _Closing(subscriber.undeclare)
+        return Subscription(subscriber.undeclare)
 
     def _declare(self, token: str) -> Callable[[], None]:
-        declared = self._session.liveliness().declare_token(token)
-        withdraw: Callable[[], None] = declared.undeclare
+        withdraw: Callable[[], None] = self._session.liveliness().declare_token(token).undeclare
         return withdraw
 
     def _alive(self, expression: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -226,3 +227,25 @@ def test_losses_are_counted_for_each_publisher(tmp_path: Path) -> None:
     vehicle.recorder.finish()
     topic = keys.GNSS_FIX.on(VEHICLE)
     assert vehicle.recorder.losses.lost == {topic: 13, keys.apart(topic, SECOND): 14}
+
+
+def test_recorder_keeps_what_nobody_can_decode_as_it_came(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path / "records")
+    chance = random.Random(3)
+    sent = [(key, chance.randbytes(chance.randrange(40))) for key in ANY_KEY for _ in range(5)]
+    for key, payload in sent:
+        vehicle.clock.advance(0.01)
+        vehicle.others.send_bytes(key, payload)
+        vehicle.stranger.send_bytes(key, payload)
+        vehicle.recorder.drain()
+    vehicle.recorder.finish()
+    assert vehicle.recorder.faults == 0
+    with open_record(tmp_path / "records") as record:
+        for key in ANY_KEY:
+            wanted = [payload for each, payload in sent if each is key]
+            for topic in (key.on(VEHICLE), keys.apart(key.on(VEHICLE), 0)):
+                found = [entry.payload for entry in record.messages(topic.__eq__)]
+                assert found[: len(wanted)] == wanted
+
+
+ANY_KEY = [key.at("x") if key.source == keys.ANY_SOURCE else key for key in keys.ALL]
