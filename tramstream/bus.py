@@ -32,9 +32,6 @@ CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
 CONNECT_TIMEOUT_MS = 2000
-QUEUE_BATCHES = 16
-"""Of 64 KiB; zenoh allows no more."""
-WAIT_FOR_ROUTER_US = 200_000
 SOCKET_PATH_MAX = 100
 """A Unix socket's path has 108 bytes; zenoh appends to it."""
 
