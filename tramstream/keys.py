@@ -176,6 +176,11 @@ def schema(type_name: str) -> str:
     return f"{ROOT}/schema/{type_name}"
 
 
+def resend(session: int | None = None) -> str:
+    """Where a bus session is asked for what it published lately; without one, all sessions."""
+    return f"{ROOT}/resend/{ANY_SOURCE if session is None else f'{session:08x}'}"
+
+
 def find(path: str) -> Key | None:
     """The key at `path` (`layer/source/quantity`), or None if nobody defined it."""
     key = _BY_PATH.get(path)
