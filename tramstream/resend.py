@@ -159,7 +159,11 @@ class History:
             if known is not None:
                 yield from known
             elif request.expression and keys.matches(request.expression, topic):
-                yield ResendStretch(topic=topic, after_publish_ns=request.after_publish_ns)
+                yield ResendStretch(
+                    topic=topic,
+                    after_publish_ns=request.after_publish_ns,
+                    before_publish_ns=request.before_publish_ns,
+                )
 
     def _stretch(self, wanted: ResendStretch, room: int) -> tuple[ResentStretch, int] | None:
         """What is kept of a stretch, and its size; None if nothing was ever published there."""
