@@ -33,6 +33,8 @@ NAME = "recorder"
 ASK_S = 0.1
 SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
+FIRST_SWEEP_S = 1.0
+"""After the start; what messages show to be missing before is asked for before."""
 LAST_ROUNDS = 20
 """Questions at the end, each with the answers to the one before."""
 
@@ -72,7 +74,7 @@ class RecorderNode(Node):
         self.losses = self._gaps
         self._asker = Asker(bus, self._answered)
         self._goes_on = goes_on
-        self._answers = self._resent = self._told = 0
+        self._answers = self._resent = self._told = self._sweep_ns = 0
         self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
         self._expression = expression
@@ -90,7 +92,7 @@ class RecorderNode(Node):
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
-        self.every(SWEEP_S, self.sweep)
+        self._sweep_ns = self.clock.now_ns() + int(FIRST_SWEEP_S * S)
 
     def handle(self, envelope: Envelope) -> None:
         log_ns = self._gaps.offer(envelope, self.ring.dropped)
@@ -124,17 +126,21 @@ class RecorderNode(Node):
         """Put the questions that are due, unless others are on their way."""
         now_ns = self.clock.now_ns()
         self._name_lost(self._gaps.give_up(now_ns))
+        if now_ns >= self._sweep_ns:
+            self._sweep_ns = now_ns + int(SWEEP_S * S)
+            self.sweep()
         if not self._asker.busy:
             for session, request in self._gaps.requests(now_ns):
                 self._asker.ask(session, request.SerializeToString())
 
-    def sweep(self) -> None:
+    def sweep(self, last: bool = False) -> None:
         """Ask everybody; say what the questions before have brought."""
         if self._resent > self._told and not self._gaps.holes:
             text = f"{self._resent - self._told} messages that did not come were had again"
             self.log(text, Log.INFO)
             self._told = self._resent
-        request = self._gaps.sweep(keys.full(self.vehicle, self._expression), self.clock.now_ns())
+        expression = keys.full(self.vehicle, self._expression)
+        request = self._gaps.sweep(expression, self.clock.now_ns(), last)
         self._asker.ask(None, request.SerializeToString())
 
     def _answered(self, data: bytes) -> None:
@@ -177,6 +183,7 @@ class RecorderNode(Node):
 
     def _ask_for_the_last(self) -> None:
         """Ask for what is still missing; what nobody sends now is lost."""
+        self.sweep(last=True)
         self._asker.close()
         self.drain()
         for _ in range(LAST_ROUNDS):
