@@ -42,9 +42,10 @@ class Hole:
 
     after_ns: int
     after_sequence: int | None
-    log_ns: int
+    after_log_ns: int
     before_ns: int
     before_sequence: int
+    before_log_ns: int
     queued: int
     done_ns: int
     first: bool = False
@@ -105,8 +106,8 @@ class GapBook(LossCounter):
     def offer(self, envelope: Envelope, dropped: Counter[str]) -> int | None:
         """Log time of a message that is to be recorded; None if the record has it.
 
-        That is its arrival; of one that comes later than its successors, its publication, but never
-        before the log time of its predecessor: so a topic's messages sort as they were published.
+        That is its arrival; of one that comes later than its successors, its publication, but not
+        before its predecessor nor after its successor: a topic's messages sort as published.
         """
         if envelope.sequence == 0:
             return envelope.arrival_ns
@@ -146,8 +147,8 @@ class GapBook(LossCounter):
         before_ns = min(after_ns, publish_ns - 1)
         stream = _Stream(topic, envelope.session, envelope.sequence - 1, before_ns, log_ns)
         if envelope.sequence > 1 and publish_ns > after_ns:
-            hole = Hole(after_ns, None, 0, publish_ns, envelope.sequence, 0, after_ns, first=True)
-            self._add(stream, hole)
+            end = publish_ns, envelope.sequence, max(envelope.arrival_ns, log_ns)
+            self._add(stream, Hole(after_ns, None, 0, *end, 0, after_ns, first=True))
         return stream
 
     def _open_hole(
@@ -162,6 +163,7 @@ class GapBook(LossCounter):
             stream.log_ns,
             envelope.publish_ns,
             envelope.sequence,
+            max(envelope.arrival_ns, stream.log_ns),
             queued,
             stream.publish_ns,
         )
@@ -184,7 +186,7 @@ class GapBook(LossCounter):
             self.duplicates += 1
             return None
         hole.filled[publish_ns] = sequence
-        log_ns = hole.log_ns
+        log_ns = hole.after_log_ns
         if hole.first:
             remembered = self._previous.topics.get(stream.topic)
             log_ns = remembered.log_before(publish_ns) if remembered is not None else 0
@@ -192,7 +194,7 @@ class GapBook(LossCounter):
             missing = hole.before_sequence - hole.after_sequence - 1
             if len(hole.filled) == missing and not hole.first:
                 self._remove(stream, hole)
-        return max(publish_ns, log_ns)
+        return min(max(publish_ns, log_ns), hole.before_log_ns)
 
     def _remove(self, stream: _Stream, hole: Hole) -> None:
         stream.holes.remove(hole)

@@ -74,6 +74,7 @@ class RecorderNode(Node):
         self.losses = self._gaps
         self._asker = Asker(bus, self._answered)
         self._goes_on = goes_on
+        self._deaf = False  # at the end: nothing comes off the bus, not even what we say ourselves
         self._answers = self._resent = self._told = self._sweep_ns = 0
         self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
@@ -170,19 +171,20 @@ class RecorderNode(Node):
                 )
             self._name_lost(self._gaps.settle(answer.session, stretch))
         self._resent += self._ledger.received - before
-        self.ask()
+        if not self._deaf:
+            self.ask()
 
-    def _name_lost(self, losses: list[Loss], *, record: bool = False) -> None:
-        """Publish losses; `record` them here when nothing comes off the bus any more."""
+    def _name_lost(self, losses: list[Loss]) -> None:
         key = keys.LOSS.at(NAME)
         for loss in losses:
             at_ns = self.publish(key, loss)
-            if record:
+            if self._deaf:
                 topic, data = key.on(self.vehicle), loss.SerializeToString()
                 self.recording.append(topic, key, data, at_ns, at_ns, loss.sequence)
 
     def _ask_for_the_last(self) -> None:
         """Ask for what is still missing; what nobody sends now is lost."""
+        self._deaf = True
         self.sweep(last=True)
         self._asker.close()
         self.drain()
@@ -194,7 +196,8 @@ class RecorderNode(Node):
             self.drain()
             if self._answers == answers:
                 break
-        self._name_lost(self._gaps.give_up(self.clock.now_ns(), at_once=True), record=True)
+        self._name_lost(self._gaps.give_up(self.clock.now_ns(), at_once=True))
+        self._deaf = False
 
     def _find(self, topic: str) -> Key | None:
         path = keys.split(topic)[1]
