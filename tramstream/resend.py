@@ -36,6 +36,8 @@ ENTRY_BYTES = 220
 KEPT_FEW = 16
 """So many of a topic are kept whatever their age: on a rare key the next message, which shows that
 one is missing, may be minutes away."""
+FORGET_NS = S // 10
+"""How often is looked for old ones: forgetting many at once takes a third of the time."""
 ANSWER_BYTES = 256_000
 """Of one answer: a quarter of what a link's queue holds, beside the live stream."""
 
@@ -47,7 +49,14 @@ _TIME = itemgetter(0)
 class _Topic:
     """What is kept of one topic, oldest first."""
 
-    __slots__ = ("first_publish_ns", "first_sequence", "kept", "last_forgotten", "oldest_ns")
+    __slots__ = (
+        "first_publish_ns",
+        "first_sequence",
+        "forgotten_ns",
+        "forgotten_sequence",
+        "kept",
+        "oldest_ns",
+    )
 
     def __init__(self, publish_ns: int, sequence: int) -> None:
         self.kept: deque[_Kept] = deque()
@@ -55,8 +64,8 @@ class _Topic:
         """Of what is kept; of the last forgotten if nothing is."""
         self.first_publish_ns = publish_ns
         self.first_sequence = sequence
-        self.last_forgotten: tuple[int, int] | None = None
-        """Time of publication and sequence number."""
+        self.forgotten_ns = self.forgotten_sequence = 0
+        """Of the last that was forgotten; 0 if none was."""
 
 
 class History:
@@ -83,6 +92,7 @@ class History:
         self._limit_bytes = limit_bytes
         self._topics: dict[str, _Topic] = {}
         self._order: deque[_Topic] = deque()  # of what is kept, but for the last few of a topic
+        self._due_ns = 0
         self._lock = threading.Lock()
 
     def keep(
@@ -96,27 +106,28 @@ class History:
             kept = known.kept
             kept.append((publish_ns, sequence, payload, encoding))
             self.size_bytes += len(payload) + ENTRY_BYTES
-            order = self._order
-            order.append(known)
-            horizon_ns = publish_ns - self._span_ns
-            if self.size_bytes > self._limit_bytes or order[0].oldest_ns < horizon_ns:
-                self._forget_old(horizon_ns)
+            self._order.append(known)
+            if publish_ns >= self._due_ns or self.size_bytes > self._limit_bytes:
+                self._forget_old(publish_ns)
 
-    def _forget_old(self, horizon_ns: int) -> None:
-        """Forget what is older, and the oldest until the rest is within bounds."""
-        order = self._order
-        while order and (self.size_bytes > self._limit_bytes or order[0].oldest_ns < horizon_ns):
+    def _forget_old(self, now_ns: int) -> None:
+        """Forget what is older, and the oldest until there is room again: many at a time."""
+        order, horizon_ns = self._order, now_ns - self._span_ns
+        full = self.size_bytes > self._limit_bytes
+        room_bytes = self._limit_bytes - self._limit_bytes // 64 if full else self._limit_bytes
+        while order and (self.size_bytes > room_bytes or order[0].oldest_ns < horizon_ns):
             oldest = order.popleft()
             if len(oldest.kept) > KEPT_FEW:
                 self._forget(oldest)
         while self.size_bytes > self._limit_bytes:  # the last few of each topic: the oldest of all
             topics = [topic for topic in self._topics.values() if topic.kept]
             self._forget(min(topics, key=lambda topic: topic.oldest_ns))
+        self._due_ns = now_ns + FORGET_NS
 
     def _forget(self, topic: _Topic) -> None:
-        publish_ns, sequence, payload, _ = topic.kept.popleft()
-        topic.last_forgotten = publish_ns, sequence
-        topic.oldest_ns = topic.kept[0][0] if topic.kept else publish_ns
+        kept = topic.kept
+        topic.forgotten_ns, topic.forgotten_sequence, payload, _ = kept.popleft()
+        topic.oldest_ns = kept[0][0] if kept else topic.forgotten_ns
         self.size_bytes -= len(payload) + ENTRY_BYTES
 
     def answer(self, data: bytes) -> bytes | None:
@@ -172,7 +183,7 @@ class History:
             return None
         with self._lock:
             kept = list(known.kept)
-            forgotten = known.last_forgotten
+            forgotten_ns, forgotten = known.forgotten_ns, known.forgotten_sequence
         after_ns = wanted.after_publish_ns
         begin = bisect_right(kept, after_ns, key=_TIME)
         end = len(kept)
@@ -182,14 +193,14 @@ class History:
             topic=wanted.topic,
             after_publish_ns=after_ns,
             before_publish_ns=wanted.before_publish_ns,
-            newest_publish_ns=kept[-1][0] if kept else forgotten[0] if forgotten else 0,
+            newest_publish_ns=kept[-1][0] if kept else forgotten_ns,
         )
         if begin > 0:
             resent.after_sequence = kept[begin - 1][1]
         elif known.first_publish_ns > after_ns:
             resent.after_sequence = known.first_sequence - 1
-        elif forgotten is not None and forgotten[0] <= after_ns:
-            resent.after_sequence = forgotten[1]
+        elif 0 < forgotten_ns <= after_ns:
+            resent.after_sequence = forgotten
         size = 0
         for publish_ns, sequence, payload, encoding in kept[begin:end]:
             if size >= room:
