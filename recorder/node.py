@@ -117,7 +117,10 @@ class RecorderNode(Node):
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
-        known = GnssTime.FromString(payload)
+        try:
+            known = GnssTime.FromString(payload)
+        except DecodeError:
+            return  # recorded as it is, like everything
         if known.HasField("gps_time_ns") and known.HasField("leap_seconds"):
             utc_ns = known.gps_time_ns + (GPS_EPOCH_UNIX_S - known.leap_seconds) * S
             self.recording.utc.learn(utc_ns, known.stamp_ns)
