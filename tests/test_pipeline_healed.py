@@ -1,4 +1,4 @@
-"""A whole ride whose recorder stood still and was killed: nothing is missing, and it is repeated."""
+"""A ride whose recorder stood still and was killed: nothing is missing, and it is repeated."""
 
 from __future__ import annotations
 
