@@ -229,13 +229,13 @@ class GapBook(LossCounter):
                 hole.due_ns = now_ns + AGAIN_NS[min(hole.asked, len(AGAIN_NS)) - 1]
         return [(session, request) for session, request in requests.items() if request.stretches]
 
-    def sweep(self, expression: str, now_ns: int, last: bool = False) -> ResendRequest:
+    def sweep(self, expression: str, now_ns: int, all_of_it: bool = False) -> ResendRequest:
         """What everybody is asked now and then: is there anything that no later message shows?
 
-        At the `last` one nothing comes off the bus any more.
+        Or `all_of_it`, also what may still be on its way: at the start and at the end.
         """
         self._forget_stale(now_ns)
-        before_ns = max(now_ns if last else now_ns - SWEEP_BEHIND_NS, 0)
+        before_ns = max(now_ns if all_of_it else now_ns - SWEEP_BEHIND_NS, 0)
         request = ResendRequest(
             expression=expression, after_publish_ns=self._since_ns, before_publish_ns=before_ns
         )

@@ -30,11 +30,11 @@ from tramstream.recorder.gaps import GapBook
 from tramstream.recorder.previous import remember
 
 NAME = "recorder"
-ASK_S = 0.1
+ASK_S = 0.05
 SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
-FIRST_SWEEP_S = 1.0
-"""After the start; what messages show to be missing before is asked for before."""
+AGAIN_S = 0.2
+"""The same after an answer that was full."""
 LAST_ROUNDS = 20
 """Questions at the end, each with the answers to the one before."""
 
@@ -93,7 +93,9 @@ class RecorderNode(Node):
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
-        self._sweep_ns = self.clock.now_ns() + int(FIRST_SWEEP_S * S)
+        if self._goes_on:
+            self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
+        self._sweep_ns = self.clock.now_ns() + int(SWEEP_S * S)
 
     def handle(self, envelope: Envelope) -> None:
         log_ns = self._gaps.offer(envelope, self.ring.dropped)
@@ -137,14 +139,14 @@ class RecorderNode(Node):
             for session, request in self._gaps.requests(now_ns):
                 self._asker.ask(session, request.SerializeToString())
 
-    def sweep(self, last: bool = False) -> None:
+    def sweep(self, all_of_it: bool = False) -> None:
         """Ask everybody; say what the questions before have brought."""
         if self._resent > self._told and not self._gaps.holes:
             text = f"{self._resent - self._told} messages that did not come were had again"
             self.log(text, Log.INFO)
             self._told = self._resent
         expression = keys.full(self.vehicle, self._expression)
-        request = self._gaps.sweep(expression, self.clock.now_ns(), last)
+        request = self._gaps.sweep(expression, self.clock.now_ns(), all_of_it)
         self._asker.ask(None, request.SerializeToString())
 
     def _answered(self, data: bytes) -> None:
@@ -158,6 +160,8 @@ class RecorderNode(Node):
             self.log(f"an answer of {len(item)} bytes that nobody can read; left out")
             return
         self._answers += 1
+        if answer.more:
+            self._sweep_ns = min(self._sweep_ns, self.clock.now_ns() + int(AGAIN_S * S))
         before = self._ledger.received
         for stretch in answer.stretches:
             for message in stretch.messages:
@@ -188,7 +192,7 @@ class RecorderNode(Node):
     def _ask_for_the_last(self) -> None:
         """Ask for what is still missing; what nobody sends now is lost."""
         self._deaf = True
-        self.sweep(last=True)
+        self.sweep(all_of_it=True)
         self._asker.close()
         self.drain()
         for _ in range(LAST_ROUNDS):

@@ -56,7 +56,7 @@ def test_ride_whose_recorder_stood_still_and_was_killed_is_whole_and_repeated(
         killed = run.node("recorder")
         os.kill(killed, signal.SIGKILL)
         wait_for(lambda: run.node("recorder") not in (0, killed), "a new recorder")
-        grow(folder, 300_000)
+        grow(folder, 600_000)  # whoever ends takes what is only in its memory with it
         run.end()
     finally:
         if run.process.poll() is None:
