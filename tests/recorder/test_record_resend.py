@@ -203,9 +203,10 @@ def test_killed_recorder_leaves_no_hole(vehicle: Vehicle) -> None:
     assert losses == []
 
 
-def test_frozen_recorder_gets_everything_afterwards(vehicle: Vehicle) -> None:
+@pytest.mark.parametrize("halt_s", [8.0, pytest.param(20.0, marks=pytest.mark.study)])
+def test_frozen_recorder_gets_everything_afterwards(vehicle: Vehicle, halt_s: float) -> None:
     vehicle.recorder.process.send_signal(signal.SIGSTOP)
-    time.sleep(8.0)
+    time.sleep(halt_s)
     vehicle.recorder.process.send_signal(signal.SIGCONT)
     vehicle.grow(300_000)
     sent, losses, count = vehicle.end()
