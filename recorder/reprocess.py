@@ -29,8 +29,10 @@ from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
 from tramstream.recorder.plan import Plan, Spans
 from tramstream.recorder.reader import Entry, Record
 
-SETTLE_NS = 2 * S
-"""A message that reaches the recorder so much later than a tick that counts it is lost."""
+SETTLE_NS = 40 * S
+"""A message that reaches the recorder so much later than a tick that counts it is lost. What waited
+in the socket of a recorder that stood still comes that late, while what was had again stands at the
+time of its publication: no longer ago than publishers keep (`tramstream.resend.SPAN_S`)."""
 SYNTHETIC_TICK_NS = S // 10
 EARLY_NS = S
 """How far ahead of the horizon measurements are fed where no tick says what the live run had."""

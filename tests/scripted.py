@@ -12,6 +12,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
 from tramstream.ports import join_reads
 from tramstream.proto.raw_pb2 import RawBytes
+from tramstream.resend import History
 from tramstream.tokens import Announced
 
 START_NS = 1_700_000_000 * S
@@ -128,6 +129,7 @@ class Sender:
         self.bus = bus
         self.session = session
         self._sequences: dict[str, int] = {}
+        self._history = History(session or 0)
         self._end: Callable[[], None] | None = None
 
     def announce(self, node: str) -> None:
@@ -156,9 +158,11 @@ class Sender:
         return number
 
     def _publish(self, key: Key, payload: bytes) -> None:
-        ours, bus = self.bus.session, self.bus
+        bus = self.bus
+        ours = bus.session, bus.history
         try:
-            bus.session = ours if self.session is None else self.session
+            if self.session is not None:
+                bus.session, bus.history = self.session, self._history
             bus.publish(key.on(VEHICLE), payload, key.encoding, self._sequences[key.path])
         finally:
-            bus.session = ours
+            bus.session, bus.history = ours

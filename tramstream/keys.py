@@ -178,6 +178,11 @@ def apart(topic: str, session: int) -> str:
     return f"{topic}{APART}{session:08x}"
 
 
+def published(topic: str) -> str:
+    """Where that was published; any other topic as it is."""
+    return topic.partition(APART)[0]
+
+
 def is_apart(topic: str) -> bool:
     """Whether `topic` is such a place: readers show it, and nobody computes with it."""
     return APART in topic
@@ -186,6 +191,11 @@ def is_apart(topic: str) -> bool:
 def schema(type_name: str) -> str:
     """Where the router answers with the FileDescriptorSet of a message type."""
     return f"{ROOT}/schema/{type_name}"
+
+
+def resend(session: int | None = None) -> str:
+    """Where a bus session is asked for what it published lately; without one, all sessions."""
+    return f"{ROOT}/resend/{ANY_SOURCE if session is None else f'{session:08x}'}"
 
 
 def find(path: str) -> Key | None:

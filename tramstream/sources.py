@@ -127,6 +127,12 @@ class Sources:
         rival.held_bytes += len(envelope.payload)
         return self._settle(topic, source, session, now_ns)
 
+    def place(self, envelope: Envelope) -> Envelope:
+        """A message that was sent once more, with the others of its publisher; never in doubt."""
+        source = self.by_topic.get(envelope.topic)
+        rival = source.rivals.get(envelope.session) if source is not None else None
+        return _apart(envelope, envelope.session) if rival is not None and rival.apart else envelope
+
     def settle(self, now_ns: int, at_end: bool = False) -> list[Envelope]:
         """Decide what has been in doubt for long enough, `at_end` all; the messages to go on with.
 
