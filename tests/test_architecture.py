@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from live import HANG_S
 
 from tramstream import keys
 from tramstream.proto import generate
@@ -246,8 +247,7 @@ OWN_BYTES = {
     "tramstream/snapshots.py",
     "cli/fleet.py",
 }
-"""Decode what the same program encoded (memory, pipes, caches), or count it themselves (resend), or
-are the boundary."""
+"""Decode what the same program encoded (memory, pipes, caches), or are the boundary themselves."""
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -289,7 +289,7 @@ def test_wheel_holds_tramstream_and_nothing_else(tmp_path: Path) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(source.read_bytes())
     command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "-q"]
-    subprocess.run([*command, "-w", str(tmp_path), str(copy)], check=True, timeout=120)
+    subprocess.run([*command, "-w", str(tmp_path), str(copy)], check=True, timeout=HANG_S)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
