@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from enum import IntEnum
 from typing import Any
 
+from tramstream.boundary import name_of
 from tramstream.cli.digest import digest
 from tramstream.cli.look import decode
 from tramstream.cli.stats import KeyStats, Stats
@@ -161,7 +162,7 @@ def _key_row(found: KeyStats, last: str, now_ns: int) -> KeyRow:
 def _node_row(found: KeyStats, message: NodeHealth, now_ns: int) -> NodeRow:
     age_s = found.age_s(now_ns) or 0.0
     before = decode(found.before) if found.before is not None else None
-    state, level = NodeHealth.State.Name(message.state), Level(min(message.state, Level.BAD))
+    state, level = name_of(NodeHealth.State, message.state), _level(message.state)
     if age_s > SILENT_S:
         state, level = "SILENT", Level.BAD
     return NodeRow(
@@ -176,6 +177,11 @@ def _node_row(found: KeyStats, message: NodeHealth, now_ns: int) -> NodeRow:
         faults=message.faults,
         level=level,
     )
+
+
+def _level(state: int) -> Level:
+    """Attention that a state deserves; one that nobody knows is bad."""
+    return Level(state) if state in (Level.FINE, Level.WARNING) else Level.BAD
 
 
 def _cpu_percent(before: Any, message: NodeHealth) -> float | None:
@@ -193,7 +199,7 @@ def _device_row(found: KeyStats, message: DeviceHealth, now_ns: int) -> DeviceRo
     if isinstance(before, DeviceHealth) and message.stamp_ns > before.stamp_ns:
         received = message.bytes_received - before.bytes_received
         bytes_per_s = max(0.0, received * S / (message.stamp_ns - before.stamp_ns))
-    state, level = DeviceHealth.State.Name(message.state), Level(min(message.state, Level.BAD))
+    state, level = name_of(DeviceHealth.State, message.state), _level(message.state)
     if age_s > SILENT_S:
         state, level = "UNKNOWN", Level.BAD
     return DeviceRow(

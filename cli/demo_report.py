@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tramstream import evaluation, keys
+from tramstream.boundary import Undecodable
 from tramstream.bridges.simulator_node import FAULTS, OVERRUN
 from tramstream.clock import S
 from tramstream.evaluation import Statistics
@@ -18,6 +19,18 @@ from tramstream.proto.health_pb2 import DeviceHealth, Loss, NodeHealth
 from tramstream.recorder.reader import open_record
 from tramstream.recorder.rerun import vehicle_of
 from tramstream.recorder.series import RideSeries, read_ride
+
+_DECODED = frozenset(
+    (
+        keys.TRUTH_STATE.path,
+        keys.EST_DISTANCE.path,
+        keys.GNSS_FIX.path,
+        NodeHealth,
+        DeviceHealth,
+        Loss,
+    )
+)
+"""Paths and types that the figures are made of."""
 
 
 @dataclass
@@ -64,20 +77,22 @@ def summarise(path: Path) -> DemoReport:
             key = keys.find(key_path)
             if key is None:
                 continue
+            if key.path not in _DECODED and key.type not in _DECODED:
+                continue
+            message: Any = record.decode(entry)
+            if isinstance(message, Undecodable):
+                continue
             if key.path == keys.TRUTH_STATE.path:
-                message: Any = record.decode(entry)
                 truth.append((message.stamp_ns, message.arc_length_m, message.speed_mps))
             elif key.path == keys.EST_DISTANCE.path:
-                message = record.decode(entry)
                 estimate.append((message.stamp_ns, message.distance_m, message.speed_mps))
             elif key.path == keys.GNSS_FIX.path:
-                message = record.decode(entry)
                 if message.valid:
                     gnss.append((message.stamp_ns, message.speed_mps))
-            elif key.type in (NodeHealth, DeviceHealth):
-                last[key_path] = record.decode(entry)
             elif key.type is Loss:
-                report.lost += record.decode(entry).count
+                report.lost += message.count
+            else:
+                last[key_path] = message
         ride = read_ride(record, [keys.EST_STATE.path], keys.TRUTH_STATE.path, fixes=True)
         vehicle = vehicle_of(record, path)
     report.rates_hz = {
@@ -97,6 +112,8 @@ def _errors(report: DemoReport, truth: Any, estimate: Any, gnss: Any) -> None:
         return
     inside = (estimate[:, 0] >= truth[0, 0]) & (estimate[:, 0] <= truth[-1, 0])
     estimate = estimate[inside]
+    if not len(estimate):
+        return
     arc = np.interp(estimate[:, 0], truth[:, 0], truth[:, 1])
     speed = np.interp(estimate[:, 0], truth[:, 0], truth[:, 2])
     error = (estimate[:, 1] - estimate[0, 1]) - (arc - arc[0])

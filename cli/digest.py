@@ -11,6 +11,7 @@ from typing import Any
 
 from google.protobuf.message import Message
 
+from tramstream.boundary import name_of
 from tramstream.cli.columns import clipped, lasting, scaled
 from tramstream.clock import S
 
@@ -42,8 +43,10 @@ def _place(message: Any) -> str:
 
 
 def _fix(message: Any) -> str:
-    kind = _FIX.get(type(message).FixType.Name(message.fix_type), "?")
-    carrier = f" {type(message).Carrier.Name(message.carrier).lower()}" if message.carrier else ""
+    kind = _FIX.get(name_of(type(message).FixType, message.fix_type), "?")
+    carrier = (
+        f" {name_of(type(message).Carrier, message.carrier).lower()}" if message.carrier else ""
+    )
     parts = [
         f"{message.speed_mps:.2f} m/s",
         f"{kind}{carrier}" + ("" if message.valid else ", not valid"),
@@ -184,12 +187,12 @@ def _distance(message: Any) -> str:
 
 
 def _node(message: Any) -> str:
-    state = type(message).State.Name(message.state)
+    state = name_of(type(message).State, message.state)
     return f"{state}  {message.text}" if message.text else state
 
 
 def _device(message: Any) -> str:
-    state = type(message).State.Name(message.state)
+    state = name_of(type(message).State, message.state)
     parts = [state, scaled(message.bytes_received, "B"), f"{message.messages_decoded} decoded"]
     parts += [f"{message.frames_rejected} rejected"] if message.frames_rejected else []
     parts += [message.text] if message.text else []
@@ -197,7 +200,7 @@ def _device(message: Any) -> str:
 
 
 def _loss(message: Any) -> str:
-    cause = type(message).Cause.Name(message.cause).lower()
+    cause = name_of(type(message).Cause, message.cause).lower()
     return f"{message.count} of {message.key} ({cause})"
 
 

@@ -27,8 +27,9 @@ from tramstream.localisation import TRACKING, Estimate
 from tramstream.processors.models import localiser
 from tramstream.processors.resampler import Resampler
 from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.recorder.plan import Plan
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.reprocess import Output, Plan, Reprocessor
+from tramstream.recorder.reprocess import Output, Reprocessor
 from tramstream.recorder.rerun import rerun
 from tramstream.recorder.series import read_ride
 from tramstream.series import TruthSeries

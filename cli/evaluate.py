@@ -75,6 +75,8 @@ def evaluate(
         print_judgements(of, gnss, terms, f"{file}: {key} against {found.truth_name}")
     if found.damaged:
         raise DamagedRecordError(f"{found.damaged}; what could be proved right was judged")
+    if found.left_out:
+        raise DamagedRecordError(found.left_out)
 
 
 def _reasons(left_out: dict[str, int], skipped: int) -> str:

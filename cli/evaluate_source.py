@@ -35,6 +35,8 @@ class Gathered:
     origin_ns: int
     """The first arrival in the record of the states."""
     damaged: str
+    left_out: str
+    """One sentence about messages that could not be decoded, empty without any."""
 
 
 def gather(file: Path, truth: str, estimate: str) -> Gathered:
@@ -81,6 +83,7 @@ def gather(file: Path, truth: str, estimate: str) -> Gathered:
             vehicle=vehicle_in(record) or vehicle_in(source),
             origin_ns=record.start_ns,
             damaged=record.damaged or source.damaged,
+            left_out=record.left_out or source.left_out,
         )
 
 

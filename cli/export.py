@@ -37,9 +37,11 @@ def export(
             _csv(record, csv, key)
         if geojson is not None:
             _geojson(record, geojson)
-        damaged = record.damaged
+        damaged, left_out = record.damaged, record.left_out
     if damaged:
         raise DamagedRecordError(f"{damaged}; what could be proved right was exported")
+    if left_out:
+        raise DamagedRecordError(left_out)
 
 
 def _csv(record: Record, out: Path, key: str) -> None:

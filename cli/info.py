@@ -60,6 +60,7 @@ def _print(description: Description) -> None:
         ("messages", f"{description.message_count}"),
         ("unfinished", "\n".join(description.unfinished)),
         ("recovered", description.recovered),
+        ("left out", description.left_out),
         ("missing", ", ".join(f"part {number}" for number in description.missing_parts)),
     ]
     for name, value in facts:

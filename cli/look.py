@@ -17,9 +17,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import Message
 
-from tramstream import keys
+from tramstream import boundary, keys
+from tramstream.boundary import Undecodable
 from tramstream.bus import Bus, Envelope
 from tramstream.cli import session
 from tramstream.errors import ConfigError, DamagedRecordError, RecordError
@@ -197,11 +198,8 @@ class FileSource(Source):
             envelope.sequence,
             self.record.channels[envelope.topic].channel_id,
         )
-        try:
-            message: Message = self.record.decode(entry)
-        except RecordError:
-            return None
-        return message
+        message = self.record.decode(entry)
+        return None if isinstance(message, Undecodable) else message
 
     def now_ns(self) -> int:
         return self.record.end_ns
@@ -240,10 +238,8 @@ def decode(envelope: Envelope) -> Any | None:
     )
     if type_ is None:
         return None
-    try:
-        return type_.FromString(envelope.payload)
-    except DecodeError:
-        return None
+    message = boundary.decode(type_, envelope.payload, envelope.topic)
+    return None if isinstance(message, Undecodable) else message
 
 
 def _types() -> dict[str, Any]:

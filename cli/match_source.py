@@ -92,6 +92,8 @@ def _of_record(file: Path, network: Network, net: Path) -> Source:
             return _of_fixes(record, network, net, offset_ns)
         if record.damaged:
             notes.append(f"{record.damaged}; `tramstream recover` saves the rest.")
+        if record.left_out:
+            notes.append(f"{record.left_out}.")
     if found is None:
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "states.mcap"
@@ -160,7 +162,6 @@ def _estimates(states: StateSeries, level: LocalLevel) -> Iterator[tuple[Estimat
 
 def _utc_offset_ns(record: Record) -> int | None:
     """UTC minus vehicle clock, as the record tells first."""
-    for entry in record.messages(lambda topic: keys.split(topic)[1] == keys.CLOCK.path):
-        reference = record.decode(entry)
+    for _, reference in record.decoded(lambda topic: keys.split(topic)[1] == keys.CLOCK.path):
         return int(reference.host_utc_ns - reference.stamp_ns)
     return None

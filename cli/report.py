@@ -62,3 +62,5 @@ def report(
     print(json.dumps(figures) if json_ else out)
     if material.damaged:
         raise DamagedRecordError(f"{material.damaged}; what could be proved right was drawn")
+    if material.left_out:
+        raise DamagedRecordError(material.left_out)

@@ -98,6 +98,8 @@ def _facts(material: Material) -> list[str]:
             )
             if description.damaged:
                 facts.append(f"{description.damaged}; `tramstream recover` saves the rest.")
+            if description.left_out:
+                facts.append(f"{description.left_out}.")
             if description.missing_parts:
                 missing = ", ".join(map(str, description.missing_parts))
                 facts.append(f"Parts are missing: {missing}.")

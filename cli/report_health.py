@@ -10,6 +10,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FactorRange, HoverTool, LegendItem
 
 from tramstream import keys
+from tramstream.boundary import name_of
 from tramstream.cli.report_charts import (
     BAD,
     CALM,
@@ -63,7 +64,7 @@ def states_figure(timeline: Timeline, health: Health, states: StateSeries | None
         for run in runs:
             by_state.setdefault(run.state, []).append((name, run))
     items, drawn = [], []
-    for state in sorted(by_state, key=list(COLOURS).index):
+    for state in sorted(by_state, key=_rank):
         bars = by_state[state]
         source = ColumnDataSource(
             {
@@ -74,12 +75,17 @@ def states_figure(timeline: Timeline, health: Health, states: StateSeries | None
                 "text": [run.text for _, run in bars],
             }
         )
-        style = {"height": 0.6, "fill_color": COLOURS[state], "line_color": None}
+        style = {"height": 0.6, "fill_color": COLOURS.get(state, SOFT), "line_color": None}
         drawn.append(plot.hbar("row", left="start", right="end", source=source, **style))
         items.append(LegendItem(label=_said(state), renderers=[drawn[-1]]))
     legend(plot, items)
     _add_hover(timeline, plot, drawn, "<b>@row</b> @state @text", "@start")
     return plot
+
+
+def _rank(state: str) -> int:
+    """Place among the colours; states of a newer version come last."""
+    return list(COLOURS).index(state) if state in COLOURS else len(COLOURS)
 
 
 def mode_runs(states: StateSeries) -> list[Run]:
@@ -88,7 +94,7 @@ def mode_runs(states: StateSeries) -> list[Run]:
     starts = np.flatnonzero(np.append(True, mode[1:] != mode[:-1]))
     ends = np.append(starts[1:], len(mode) - 1)
     return [
-        Run(MotionState.Mode.Name(int(mode[a])), "", int(stamp_ns[a]), int(stamp_ns[b]))
+        Run(name_of(MotionState.Mode, int(mode[a])), "", int(stamp_ns[a]), int(stamp_ns[b]))
         for a, b in zip(starts, ends, strict=True)
     ]
 
@@ -180,7 +186,6 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
     page.heading("Losses")
     if health.losses:
         head = ("until, UTC", "who missed it", "key", "messages", "cause")
-        cause = Loss.Cause.Name
         page.table(
             head,
             [
@@ -189,7 +194,7 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
                     loss.consumer,
                     loss.key,
                     loss.count,
-                    cause(loss.cause),
+                    name_of(Loss.Cause, loss.cause),
                 )
                 for loss in health.losses[:MOST_ROWS]
             ],
@@ -245,7 +250,7 @@ def _add_tables(page: Page, health: Health) -> None:
     nodes = [
         (
             name,
-            NodeHealth.State.Name(beat.state).lower(),
+            name_of(NodeHealth.State, beat.state).lower(),
             beat.uptime_s,
             100 * beat.cpu_s / beat.uptime_s if beat.uptime_s else 0.0,
             beat.rss_bytes / 1e6,
@@ -262,7 +267,7 @@ def _add_tables(page: Page, health: Health) -> None:
         (
             name,
             device.port,
-            DeviceHealth.State.Name(device.state).lower(),
+            name_of(DeviceHealth.State, device.state).lower(),
             device.opened,
             device.bytes_received / 1e6,
             device.messages_decoded,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tramstream import keys
+from tramstream.boundary import Undecodable
 from tramstream.cli.evaluate_figures import Terms, terms_of
 from tramstream.clock import S
 from tramstream.config import Vehicle, Wheels
@@ -108,6 +109,12 @@ class Material:
         """One sentence, empty if nothing is known to be damaged."""
         source = self.source.damaged if self.source is not None else ""
         return self.description.damaged or source
+
+    @property
+    def left_out(self) -> str:
+        """One sentence about messages that could not be decoded, empty without any."""
+        source = self.source.left_out if self.source is not None else ""
+        return "; ".join(filter(None, (self.description.left_out, source)))
 
     @property
     def speed(self) -> tuple[str, Instants, Array] | None:
@@ -209,8 +216,11 @@ class _Scan:
         known: dict[str, tuple[Callable[[int], None], Callable[[Any], None] | None]] = {}
         for topic in record.channels:
             path = keys.split(topic)[1]
+            key, type_name = keys.find(path), record.type_of(topic)
             take = by_path.get(path)
-            if record.type_of(topic) in HEALTH_TYPES:
+            if key is None or key.type.DESCRIPTOR.full_name != type_name:
+                take = None
+            elif type_name in HEALTH_TYPES:
                 take = partial(self.health.add, topic)
             known[topic] = (self._arrivals.setdefault(path or topic, array("q")).append, take)
 
@@ -218,7 +228,9 @@ class _Scan:
             arrive, take = known[entry.topic]
             arrive(entry.log_ns)
             if take is not None:
-                take(record.decode(entry))
+                message = record.decode(entry)
+                if not isinstance(message, Undecodable):
+                    take(message)
 
         return describe(record, see)
 

@@ -39,6 +39,7 @@ def reprocess(
     import json
     import time
 
+    from tramstream.boundary import left_out
     from tramstream.cli.session import make_room, say
     from tramstream.errors import CheckFailedError, ConfigError
     from tramstream.recorder.rerun import rerun
@@ -62,6 +63,7 @@ def reprocess(
         "elapsed_s": elapsed_s,
         "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
         "inputs_missing": result.missing,
+        "undecodable": result.undecodable,
     }
     if comparison is not None:
         figures |= {
@@ -84,6 +86,8 @@ def reprocess(
             f"$.map.network: {result.without_map}; localisation went on without the map "
             "(--config takes a configuration that names the file where it is now)"
         )
+    if left_out_ := left_out(result.undecodable.items()):
+        say(f"{file}: {left_out_}, as live")
     for path, count in result.missing.items():
         say(f"{path}: {count} messages that the live processors read are not in the record")
     if comparison is None:

@@ -21,6 +21,10 @@ WINDOW_S = 10.0
 """Long enough for a steady figure at 1 Hz, short enough to see a change while one looks."""
 
 
+SESSIONS = 16
+"""Publishers of one topic that are told apart."""
+
+
 @dataclass(frozen=True, slots=True)
 class Figures:
     """Of some messages of one key; None where there are too few to tell."""
@@ -37,7 +41,7 @@ class Figures:
 
 
 class Sequence:
-    """Watches the sequence numbers of one topic.
+    """Watches the sequence numbers of one topic, of each publisher by itself.
 
     A publisher that starts anew is told by its session, or, in a record, which names none, by a
     lower number that was published later. What its predecessor sent last cannot be known.
@@ -46,23 +50,25 @@ class Sequence:
     def __init__(self) -> None:
         self.lost = 0
         self.disordered = 0
-        self._last: Envelope | None = None
+        self._last: dict[int, Envelope] = {}
 
     def missing(self, envelope: Envelope) -> int:
         """Take note of a message; how many are missing right before it."""
-        last = self._last
         if envelope.sequence == 0:  # a stranger without our header
             return 0
-        if last is None or envelope.session != last.session:
-            self._last = envelope
+        last = self._last.get(envelope.session)
+        if last is None:
+            if len(self._last) >= SESSIONS:
+                del self._last[next(iter(self._last))]
+            self._last[envelope.session] = envelope
             return 0
         if envelope.sequence <= last.sequence:
             if envelope.publish_ns > last.publish_ns:
-                self._last = envelope
+                self._last[envelope.session] = envelope
             else:
                 self.disordered += 1
             return 0
-        self._last = envelope
+        self._last[envelope.session] = envelope
         missing = envelope.sequence - last.sequence - 1
         self.lost += missing
         return missing

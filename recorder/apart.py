@@ -36,8 +36,16 @@ from tramstream import keys
 from tramstream.errors import RecordError
 from tramstream.keys import Key
 from tramstream.processor import Processor, Sample, Smoothing
+from tramstream.recorder.plan import Plan
 from tramstream.recorder.reader import Record
-from tramstream.recorder.reprocess import Expect, Output, Plan, Reprocessor, Take, restore
+from tramstream.recorder.reprocess import (
+    Expect,
+    Output,
+    Reprocessor,
+    Shortfall,
+    Take,
+    restore,
+)
 
 GATHERED = 128
 """Groups of outputs that go through a pipe together: a second of a ride."""
@@ -133,8 +141,8 @@ class Followers:
         return following
 
 
-def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers) -> dict[str, int]:
-    """Reprocess `record`; return what the live processors had of each key and the record does not.
+def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers) -> Shortfall:
+    """Reprocess `record`; return what had to be done without.
 
     Raises
     ------
@@ -167,7 +175,7 @@ def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers)
     if takers.smoothed is not None:
         for sample, payload in _smoothed(processors):
             takers.smoothed(0, sample.stamp_ns, [(sample, payload)])
-    return run.missing
+    return run.shortfall
 
 
 def _smoothed(processors: list[Processor]) -> Iterator[Output]:
@@ -208,7 +216,7 @@ class _Sender:
         self._groups, self._expected = [], []
 
     def send(self, run: Reprocessor) -> None:
-        """Send everything, then what was missing or the exception that ended it."""
+        """Send everything, then what there was too little of or the exception that ended it."""
         try:
             run.run()
             self._flush()
@@ -218,7 +226,7 @@ class _Sender:
             error.add_note(format_exc())
             self.writing.sink.send(error)
         else:
-            self.writing.sink.send(run.missing)
+            self.writing.sink.send(run.shortfall)
             self.following.sink.send(None)
 
 
@@ -252,7 +260,7 @@ def _run_apart(
     sender: _Sender,
     follow: Callable[[Connection, Connection], None],
     takers: Takers,
-) -> dict[str, int]:
+) -> Shortfall:
     """Start the other processes and write what they send."""
     made, wanted = sender.writing, sender.following
     # Only whoever uses an end keeps it open, or nobody would see a process die.
@@ -273,11 +281,11 @@ def _run_apart(
             process.join(JOIN_S)
 
 
-def _write(made: Connection, answers: Connection, takers: Takers) -> dict[str, int]:
+def _write(made: Connection, answers: Connection, takers: Takers) -> Shortfall:
     take = takers.take
     while True:
         received = _receive(made, READING)
-        if isinstance(received, dict):
+        if isinstance(received, Shortfall):
             break
         groups, expected = received
         for (session, log_ns, encoded), following in zip(
@@ -294,8 +302,7 @@ def _write(made: Connection, answers: Connection, takers: Takers) -> dict[str, i
         for each in states:
             output = _output(*each)
             takers.smoothed(0, output[0].stamp_ns, [output])
-    missing: dict[str, int] = received
-    return missing
+    return received
 
 
 # Processes and pipes -----------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from tramstream import keys
+from tramstream import boundary, keys
+from tramstream.boundary import Undecodable
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""
@@ -95,7 +96,11 @@ def _describe(path: str, sequence: int, payload: bytes, recorded: bytes) -> str:
     key = keys.find(path)
     if key is None:
         return f"{path} sequence {sequence}: other bytes"
-    ours, theirs = key.type.FromString(payload), key.type.FromString(recorded)
+    ours = boundary.decode(key.type, payload, path)
+    theirs = boundary.decode(key.type, recorded, path)
+    for side in (ours, theirs):
+        if isinstance(side, Undecodable):
+            return f"{path} sequence {sequence}: {side.size} bytes are {side.reason}"
     for descriptor in key.type.DESCRIPTOR.fields:
         mine, live = getattr(ours, descriptor.name), getattr(theirs, descriptor.name)
         if mine != live:

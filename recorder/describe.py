@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tramstream import keys
+from tramstream.boundary import name_of
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.names import UTC_OFFSET
 from tramstream.recorder.reader import Entry, Record
@@ -60,6 +61,8 @@ class Description:
     missing_parts: list[int]
     damages: list[DamageFigures]
     damaged: str
+    left_out: str
+    """What of it was to be decoded and could not be."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; units stand in the names."""
@@ -84,11 +87,12 @@ def describe(record: Record, see: Callable[[Entry], None] | None = None) -> Desc
         if see is not None:
             see(entry)
         if figures[entry.topic].type == Loss.DESCRIPTOR.full_name:
-            losses.append(record.decode(entry))
+            loss = record.decode(entry)
+            losses += [loss] if isinstance(loss, Loss) else []
     for loss in losses:
         topic = next((topic for topic in figures if _names(topic, loss.key)), None)
         if topic is not None:
-            cause = Loss.Cause.Name(loss.cause)
+            cause = name_of(Loss.Cause, loss.cause)
             reported = figures[topic].reported_lost
             reported[cause] = reported.get(cause, 0) + loss.count
     for channel in figures.values():
@@ -116,6 +120,7 @@ def describe(record: Record, see: Callable[[Entry], None] | None = None) -> Desc
             for path, damage in record.damages
         ],
         damaged=record.damaged,
+        left_out=record.left_out,
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
+from tramstream.boundary import name_of
 from tramstream.clock import S
 from tramstream.proto.health_pb2 import ClockReference, DeviceHealth, Loss, NodeHealth
 
@@ -60,13 +61,13 @@ class Health:
 
 
 def _add_node(health: Health, source: str, beat: NodeHealth) -> None:
-    state = NodeHealth.State.Name(beat.state)
+    state = name_of(NodeHealth.State, beat.state)
     _extend(health.nodes.setdefault(source, []), state, beat.text, beat.stamp_ns)
     health.last_of_node[source] = beat
 
 
 def _add_device(health: Health, source: str, device: DeviceHealth) -> None:
-    state = DeviceHealth.State.Name(device.state)
+    state = name_of(DeviceHealth.State, device.state)
     _extend(health.devices.setdefault(source, []), state, device.text, device.stamp_ns)
     health.last_of_device[source] = device
 
@@ -76,7 +77,7 @@ def _add_loss(health: Health, source: str, loss: Loss) -> None:
 
 
 def _add_log(health: Health, source: str, log: Any) -> None:
-    level = Log.Level.Name(log.level)
+    level = name_of(Log.Level, log.level)
     stamp_ns = log.timestamp.ToNanoseconds()
     health.log.append(Sentence(stamp_ns, level, log.name or source, log.message))
 

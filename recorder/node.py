@@ -1,4 +1,9 @@
-"""The recorder as a node: everything of one vehicle, as it comes off the bus, into the record."""
+"""The recorder as a node: everything of one vehicle, as it comes off the bus, into the record.
+
+What did not come it asks the publishers for (`tramstream.recorder.gaps`): after a jam on the bus, a
+stop of its own, a restart of the router, and, when it was started again, from where the record of
+its predecessor ends.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +14,29 @@ from pathlib import Path
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import config, keys
+from tramstream.boundary import Undecodable, decode
 from tramstream.bus import Bus, Envelope
-from tramstream.clock import GPS_EPOCH_UNIX_S, S
+from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
 from tramstream.keys import Key
 from tramstream.node import Node
 from tramstream.processor import Ledger
 from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.proto.health_pb2 import Loss
+from tramstream.proto.resend_pb2 import ResendAnswer
+from tramstream.recorder.asker import Asker
 from tramstream.recorder.disk import Recording
+from tramstream.recorder.gaps import GapBook
+from tramstream.recorder.previous import remember
 
 NAME = "recorder"
+ASK_S = 0.05
+SWEEP_S = 5.0
+"""How often everybody is asked for what no later message shows to be missing."""
+AGAIN_S = 0.2
+"""The same after an answer that was full."""
+LAST_ROUNDS = 20
+"""Questions at the end, each with the answers to the one before."""
 
 
 class RecorderNode(Node):
@@ -35,6 +52,9 @@ class RecorderNode(Node):
         Goes into every part of the record, e.g. the configuration.
     expression : str
         What to record, below `tram/<vehicle>/`.
+    goes_on : bool
+        Have what was published since the folder's newest record ends, if that is of this boot: what
+        a recorder that died has missed. Somebody who stopped one on purpose does not want that.
     """
 
     gather_s = 0.02
@@ -47,8 +67,15 @@ class RecorderNode(Node):
         settings: Recorder,
         metadata: Mapping[str, str],
         expression: str = "**",
+        goes_on: bool = False,
     ) -> None:
         super().__init__(NAME, vehicle, bus, stop)
+        self._gaps = GapBook(NAME, bus.session, bus.clock.now_ns())
+        self.losses = self._gaps
+        self._asker = Asker(bus, self._answered)
+        self._goes_on = goes_on
+        self._deaf = False  # at the end: nothing comes off the bus, not even what we say ourselves
+        self._answers = self._resent = self._told = self._sweep_ns = 0
         self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
         self._expression = expression
@@ -61,10 +88,22 @@ class RecorderNode(Node):
     def begin(self) -> None:
         for sentence in self.recording.start():
             self.log(sentence, Log.INFO)
+        if self._goes_on:
+            folder = Path(self._settings.directory)
+            self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
+        self.every(ASK_S, self.ask)
+        if self._goes_on:
+            self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
+        self._sweep_ns = self.clock.now_ns() + int(SWEEP_S * S)
 
     def handle(self, envelope: Envelope) -> None:
         topic = envelope.topic
+        # Its publisher knows a message by the topic that it was published on.
+        published = envelope._replace(topic=keys.published(topic))
+        log_ns = self._gaps.offer(published, self.ring.dropped)
+        if log_ns is None:
+            return
         try:
             key = self._keys[topic]
         except KeyError:
@@ -74,26 +113,104 @@ class RecorderNode(Node):
             self._ledger.dropped += 1
             return
         self._ledger.delivered += 1
-        if key is keys.GNSS_TIME:
+        if key is keys.GNSS_TIME and not keys.is_apart(topic):
             self._learn_time(envelope.payload)
         self.recording.append(
-            topic,
-            key,
-            envelope.payload,
-            envelope.arrival_ns,
-            envelope.publish_ns,
-            envelope.sequence,
+            topic, key, envelope.payload, log_ns, envelope.publish_ns, envelope.sequence
         )
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
-        known = GnssTime.FromString(payload)
+        known = decode(GnssTime, payload, keys.GNSS_TIME.path)
+        if isinstance(known, Undecodable):
+            return  # recorded as it is; whoever uses it says so
         if known.HasField("gps_time_ns") and known.HasField("leap_seconds"):
             utc_ns = known.gps_time_ns + (GPS_EPOCH_UNIX_S - known.leap_seconds) * S
             self.recording.utc.learn(utc_ns, known.stamp_ns)
 
+    # What did not come ---------------------------------------------------------------------------
+    def ask(self) -> None:
+        """Put the questions that are due, unless others are on their way."""
+        now_ns = self.clock.now_ns()
+        self._name_lost(self._gaps.give_up(now_ns))
+        if now_ns >= self._sweep_ns:
+            self._sweep_ns = now_ns + int(SWEEP_S * S)
+            self.sweep()
+        if not self._asker.busy:
+            for session, request in self._gaps.requests(now_ns):
+                self._asker.ask(session, request.SerializeToString())
+
+    def sweep(self, all_of_it: bool = False) -> None:
+        """Ask everybody; say what the questions before have brought."""
+        if self._resent > self._told and not self._gaps.holes:
+            text = f"{self._resent - self._told} messages that did not come were had again"
+            self.log(text, Log.INFO)
+            self._told = self._resent
+        expression = keys.full(self.vehicle, self._expression)
+        request = self._gaps.sweep(expression, self.clock.now_ns(), all_of_it)
+        self._asker.ask(None, request.SerializeToString())
+
+    def _answered(self, data: bytes) -> None:
+        self.ring.put(NAME, data)
+
+    def handle_item(self, item: bytes) -> None:
+        """Record what a publisher sent once more, and name what it no longer has."""
+        answer = decode(ResendAnswer, item, "an answer")
+        if isinstance(answer, Undecodable):
+            self.log(f"{answer}; left out")
+            return
+        self._answers += 1
+        if answer.more:
+            self._sweep_ns = min(self._sweep_ns, self.clock.now_ns() + int(AGAIN_S * S))
+        before = self._ledger.received
+        for stretch in answer.stretches:
+            for message in stretch.messages:
+                again = Envelope(
+                    stretch.topic,
+                    message.payload,
+                    message.encoding,
+                    message.publish_ns,
+                    message.sequence,
+                    answer.session,
+                    message.publish_ns,
+                )
+                self.handle(self.sources.place(again))
+            self._name_lost(self._gaps.settle(answer.session, stretch))
+        self._resent += self._ledger.received - before
+        if not self._deaf:
+            self.ask()
+
+    def _name_lost(self, losses: list[Loss]) -> None:
+        key = keys.LOSS.at(NAME)
+        for loss in losses:
+            at_ns = self.publish(key, loss)
+            if self._deaf:
+                topic, data = key.on(self.vehicle), loss.SerializeToString()
+                self.recording.append(topic, key, data, at_ns, at_ns, loss.sequence)
+
+    def _ask_for_the_last(self) -> None:
+        """Ask for what is still missing; what nobody sends now is lost."""
+        self._deaf = True
+        self.sweep(all_of_it=True)
+        self._asker.close()
+        self.drain()
+        for _ in range(LAST_ROUNDS):
+            asker, answers = Asker(self.bus, self._answered), self._answers
+            for session, request in self._gaps.requests(self.clock.now_ns(), at_once=True):
+                asker.ask(session, request.SerializeToString())
+            asker.close()
+            self.drain()
+            if self._answers == answers:
+                break
+        self._name_lost(self._gaps.give_up(self.clock.now_ns(), at_once=True))
+        self._deaf = False
+
     def _find(self, topic: str) -> Key | None:
         path = keys.split(topic)[1]
+        if keys.is_apart(path):
+            path = keys.published(path)
+            who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
+            self.log(f"{path} comes from a second publisher, {who}; it is recorded as {topic}")
         if any(keys.matches(expression, path) for expression in self._settings.exclude):
             return None
         key = keys.find(path)
@@ -126,8 +243,10 @@ class RecorderNode(Node):
 
     def finish(self) -> None:
         self.heartbeat()
-        while len(self.ring):
-            self._turn(0.0)
+        self.drain()
+        self.settle_sources(at_end=True)
+        self._ask_for_the_last()
+        self.settle_sources(at_end=True)
         if not self.recording.close():
             self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
         self._tell()
@@ -139,4 +258,4 @@ class RecorderNode(Node):
 def build(vehicle: Vehicle, bus: Bus, stop: threading.Event) -> RecorderNode:
     """Make the node of a vehicle; the entry point of `tramstream.nodes`."""
     metadata = {config.RECORD_ENTRY: config.to_json(vehicle)}
-    return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata)
+    return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata, goes_on=True)

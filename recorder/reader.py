@@ -3,7 +3,8 @@
 `open_record` reads the summary of a finished file; where there is none, or it is damaged, it walks
 through the file (`tramstream.recorder.scan`). Messages come chunk by chunk with their checksums
 checked, in the order (log_ns, channel_id, sequence), also across chunks and parts whose times
-overlap. What is damaged is left out and stands in `damages`; it is never guessed at.
+overlap. What is damaged is left out and stands in `damages`; it is never guessed at. What cannot be
+decoded is handed out as it is by `messages`, left out by `decoded`, and counted in `undecodable`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 from mcap.records import Schema
 
-from tramstream import keys
+from tramstream import boundary, keys
+from tramstream.boundary import Undecodable
 from tramstream.errors import RecordError
 from tramstream.recorder.files import File, load, open_file, schema_version
 from tramstream.recorder.found import Damage
@@ -51,6 +53,7 @@ class Record:
         self.metadata = files[0].metadata
         self.channels: dict[str, ChannelInfo] = {}
         self._classes: dict[str, Any] = {}
+        self._undecodable: dict[str, set[int]] = {}
         ids: set[int] = set()
         highest = 0
         for file in files:
@@ -157,42 +160,63 @@ class Record:
             chunks, lambda chunk: entries_of(load(chunk).raw, wanted[id(chunk.file)], start, end)
         )
 
+    @property
+    def undecodable(self) -> dict[str, int]:
+        """Messages that `decode` could make nothing of so far, by topic."""
+        return {topic: len(seen) for topic, seen in self._undecodable.items()}
+
+    @property
+    def left_out(self) -> str:
+        """One sentence about them, empty if there are none."""
+        counts = ((keys.split(topic)[1] or topic, n) for topic, n in self.undecodable.items())
+        sentence = boundary.left_out(counts)
+        return f"{self.files[0].path}: {sentence}" if sentence else ""
+
+    def decoded(self, match: Callable[[str], bool] | None = None) -> Iterator[tuple[Entry, Any]]:
+        """Entries on topics that `match` says yes to, with their messages."""
+        for entry in self.messages(match):
+            message = self.decode(entry)
+            if not isinstance(message, Undecodable):
+                yield entry, message
+
     def decode(self, entry: Entry) -> Any:
         """The message of `entry`: our own type where we know it, else by the file's description.
 
-        Raises
-        ------
-        RecordError
-            If the file does not describe the type, or the payload is not of it.
+        An `Undecodable` if the payload is not of that type, or the file does not describe it; no
+        bytes of a record raise. It is counted in `undecodable`, however often it is asked for.
         """
-        class_ = self._classes.get(entry.topic)
+        topic = entry.topic
+        class_ = self._classes.get(topic)
         if class_ is None:
-            class_ = self._classes[entry.topic] = self._class(entry.topic)
-        try:
-            return class_.FromString(entry.payload)
-        except DecodeError as error:
-            raise RecordError(
-                f"{self.files[0].path}: a message on {entry.topic} is no "
-                f"{self.type_of(entry.topic)} ({error}); the publisher's version differs"
-            ) from error
+            class_ = self._classes[topic] = self._class(topic)
+        message: Any
+        if isinstance(class_, str):
+            message = Undecodable(topic, len(entry.payload), class_)
+        else:
+            message = boundary.decode(class_, entry.payload, topic)
+        if isinstance(message, Undecodable):
+            which = hash((entry.log_ns, entry.publish_ns, entry.sequence, entry.payload))
+            self._undecodable.setdefault(topic, set()).add(which)
+        return message
 
     def type_of(self, topic: str) -> str:
         """Full name of the topic's message type."""
         return self.channels[topic].schema
 
-    def _class(self, topic: str) -> type[Message]:
+    def _class(self, topic: str) -> type[Message] | str:
+        """The type of a topic's messages, or why there is none."""
         name = self.type_of(topic)
-        key = keys.find(keys.split(topic)[1])
-        if key is not None and key.type.DESCRIPTOR.full_name == name:
-            return key.type
+        known = _OURS.get(name)
+        if known is not None:
+            return known
         for file in self.files:
             for schema in file.schemas.values():
                 if schema.name == name and schema.encoding == "protobuf":
                     return _dynamic(schema)
-        raise RecordError(
-            f"{self.files[0].path}: {topic} has no protobuf description; use a reader of its "
-            "encoding"
-        )
+        return "of no type that the record describes with protobuf"
+
+
+_OURS = {key.type.DESCRIPTOR.full_name: key.type for key in keys.ALL}
 
 
 def open_record(paths: Path | Iterable[Path], any_schema: bool = False) -> Record:
@@ -271,19 +295,23 @@ def _check_vehicle(record: Record) -> None:
         )
 
 
-def _dynamic(schema: Schema) -> type[Message]:
-    """The message class that a schema describes."""
-    files = {file.name: file for file in FileDescriptorSet.FromString(schema.data).file}
-    pool = DescriptorPool()
+def _dynamic(schema: Schema) -> type[Message] | str:
+    """The message class that a schema describes, or why it describes none."""
+    try:
+        files = {file.name: file for file in FileDescriptorSet.FromString(schema.data).file}
+        pool = DescriptorPool()
 
-    def add(name: str) -> None:
-        file = files.pop(name, None)
-        if file is not None:
-            for dependency in file.dependency:
-                add(dependency)
-            pool.Add(file)
+        def add(name: str) -> None:
+            file = files.pop(name, None)
+            if file is not None:
+                for dependency in file.dependency:
+                    add(dependency)
+                pool.Add(file)
 
-    for name in list(files):
-        add(name)
-    class_: type[Message] = GetMessageClass(pool.FindMessageTypeByName(schema.name))
+        for name in list(files):
+            add(name)
+        class_: type[Message] = GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    except (DecodeError, KeyError, TypeError, ValueError, RecursionError):
+        # What protobuf raises for a description that is garbage, or lacks the type or its parts.
+        return f"of a type whose description ({schema.name or 'without a name'}) is damaged"
     return class_

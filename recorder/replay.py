@@ -60,6 +60,8 @@ class Replay:
         due = self._paced(self.record.messages(self.match, self.start_ns, self.end_ns), stop, each)
         encodings: dict[str, tuple[str, str]] = {}
         for entry in due:
+            if keys.is_apart(entry.topic):
+                continue  # a second publisher's: it would be one of ours on the bus
             known = encodings.get(entry.topic)
             if known is None:
                 path = keys.split(entry.topic)[1] or entry.topic

@@ -17,23 +17,25 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
-from tramstream import keys, snapshots
+from tramstream import boundary, keys, snapshots
+from tramstream.boundary import Undecodable
 from tramstream.clock import S
 from tramstream.errors import RecordError
 from tramstream.keys import Key
 from tramstream.processor import Processor, Sample
-from tramstream.proto.health_pb2 import Loss
-from tramstream.proto.sync_pb2 import LateSample, Position, Snapshot, Tick
+from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
+from tramstream.recorder.plan import Plan, Spans
 from tramstream.recorder.reader import Entry, Record
 
-SETTLE_NS = 2 * S
-"""A message that reaches the recorder so much later than a tick that counts it is lost."""
+SETTLE_NS = 40 * S
+"""A message that reaches the recorder so much later than a tick that counts it is lost. What waited
+in the socket of a recorder that stood still comes that late, while what was had again stands at the
+time of its publication: no longer ago than publishers keep (`tramstream.resend.SPAN_S`)."""
 SYNTHETIC_TICK_NS = S // 10
 EARLY_NS = S
 """How far ahead of the horizon measurements are fed where no tick says what the live run had."""
-RECORDER = "recorder"
 _FOREVER_NS = 1 << 64
 _ORDER = attrgetter("log_ns", "channel_id", "sequence")
 _LOG_NS, _PUBLISH_NS = attrgetter("log_ns"), attrgetter("publish_ns")
@@ -43,67 +45,19 @@ Output = tuple[Sample, bytes]
 """What a processor made, and the same encoded."""
 Take = Callable[[int, int, list[Output]], None]
 """Gets what followed from one input, in order: index of the repeated session, log time, outputs."""
+
+
+class Shortfall(NamedTuple):
+    """What a reprocessing run had to do without."""
+
+    missing: dict[str, int]
+    """Per key path: inputs that the live processors had and the record does not."""
+    undecodable: dict[str, int]
+    """Per topic: messages that cannot be decoded; live they were left out as well."""
+
+
 Expect = Callable[[int, str, int, bytes], None]
 """Gets one recorded output: index of the repeated session, key path, sequence, encoded message."""
-
-
-@dataclass
-class Session:
-    """One start of the live processors, as far as it is in the record."""
-
-    snapshot: Snapshot
-    publish_ns: int
-    """When the snapshot was published: outputs published later are repeated."""
-
-
-@dataclass
-class Plan:
-    """What the record tells about the live run."""
-
-    sessions: list[Session] = field(default_factory=list)
-    late: dict[tuple[str, int], LateSample] = field(default_factory=dict)
-    skip: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    """Per key path: publication times (exclusive) of what the live processors never got."""
-    recorder_lost: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def anchored(self) -> bool:
-        return bool(self.sessions)
-
-
-def read_plan(record: Record, consumers: Collection[str]) -> Plan:
-    """Collect snapshots, late samples and losses; `consumers` are the nodes that run processors."""
-    plan = Plan()
-    controls = {
-        keys.SYNC_SNAPSHOT.path,
-        keys.SYNC_LATE.path,
-        *(keys.LOSS.at(node).path for node in (RECORDER, *consumers)),
-    }
-    for entry in record.messages(lambda topic: keys.split(topic)[1] in controls):
-        path = keys.split(entry.topic)[1]
-        if path == keys.SYNC_SNAPSHOT.path:
-            _see_snapshot(plan, Snapshot.FromString(entry.payload), entry.publish_ns)
-        elif path == keys.SYNC_LATE.path:
-            late = LateSample.FromString(entry.payload)
-            if late.source_publish_ns:
-                plan.late[late.key, late.source_publish_ns] = late
-        else:
-            _see_loss(plan, Loss.FromString(entry.payload))
-    return plan
-
-
-def _see_snapshot(plan: Plan, snapshot: Snapshot, publish_ns: int) -> None:
-    if any(known.snapshot.session == snapshot.session for known in plan.sessions):
-        return
-    plan.sessions.append(Session(snapshot, publish_ns))
-
-
-def _see_loss(plan: Plan, loss: Loss) -> None:
-    path = keys.split(loss.key)[1]
-    if loss.consumer != RECORDER:
-        plan.skip.setdefault(path, []).append((loss.after_publish_ns, loss.before_publish_ns))
-    else:
-        plan.recorder_lost[path] = plan.recorder_lost.get(path, 0) + loss.count
 
 
 @dataclass(slots=True)
@@ -113,8 +67,8 @@ class _Input:
     key: Key
     paces: bool
     """Whether it moves a horizon on; what does not may be fed early."""
-    lost: list[tuple[int, int]]
-    """Publication times (exclusive) of what the live processors never got."""
+    lost: Spans
+    """Publication times of what the live processors never got, or did not use."""
     steps: list[Callable[[Sample], list[Sample]]]
     queue: deque[Entry] = field(default_factory=deque)
     read_to_ns: int = 0
@@ -124,10 +78,8 @@ class _Input:
 
     def put(self, entry: Entry) -> None:
         self.read_to_ns = entry.publish_ns
-        for after_ns, before_ns in self.lost:
-            if after_ns < entry.publish_ns < before_ns:
-                return
-        self.queue.append(entry)
+        if entry.publish_ns not in self.lost:
+            self.queue.append(entry)
 
 
 class Reprocessor:
@@ -168,7 +120,7 @@ class Reprocessor:
         pacing = {key.path for processor in processors for key in processor.pacing}
         self._inputs = {
             key.path: _Input(
-                key, key.path in pacing, plan.skip.get(key.path, []), self._steps[key.path]
+                key, key.path in pacing, Spans(plan.skip.get(key.path, ())), self._steps[key.path]
             )
             for processor in processors
             for key in processor.inputs
@@ -185,6 +137,10 @@ class Reprocessor:
         """Hand recorded outputs of the repeated sessions to `expect`; of `others` (paths), too."""
         self._expect = expect
         self._outputs = self._outputs.union(others)
+
+    @property
+    def shortfall(self) -> Shortfall:
+        return Shortfall(self.missing, self._record.undecodable)
 
     def run(self) -> None:
         """Read the record, step the processors, hand out what they make."""
@@ -212,7 +168,9 @@ class Reprocessor:
             if isinstance(known, _Input):
                 known.put(entry)
             elif known is keys.SYNC_TICK:
-                ticks.append((Tick.FromString(entry.payload), entry))
+                tick = self._decoded(keys.SYNC_TICK, entry)
+                if tick is not None:
+                    ticks.append((tick, entry))
                 while ticks and self._complete(*ticks[0], entry.log_ns):
                     self._feed_tick(*ticks.popleft())
             elif known is not None:
@@ -328,17 +286,27 @@ class Reprocessor:
             batch, queue = pacing if source.paces else early, source.queue
             while queue and time_of(queue[0]) <= limit_ns:
                 batch.append(queue.popleft())
-                source.fed += 1
         for batch in (early, pacing):
             batch.sort(key=_ORDER)
             for entry in batch:
                 known = self._topics[entry.topic]
                 assert isinstance(known, _Input)
                 key = known.key
-                message: Any = key.type.FromString(entry.payload)
+                message = self._decoded(key, entry)
+                if message is None:
+                    continue
+                known.fed += 1
                 self._log_ns = max(self._log_ns, entry.log_ns)
                 sample = Sample(key, message, message.stamp_ns, message.sequence, entry.publish_ns)
                 self._dispatch(sample, known.steps)
+
+    def _decoded(self, key: Key, entry: Entry) -> Any:
+        """The message of `entry`; None if it is none: the live processors left it out as well."""
+        message = boundary.decode(key.type, entry.payload, key.path)
+        if isinstance(message, Undecodable):
+            self._record.decode(entry)  # counts it
+            return None
+        return message
 
     def _dispatch(self, sample: Sample, steps: list[Callable[[Sample], list[Sample]]]) -> None:
         """Step a sample through everybody who wants it, and what follows likewise."""

@@ -8,16 +8,17 @@ from pathlib import Path
 import msgspec
 
 from tramstream import config as configs
+from tramstream import keys, registry
 from tramstream import network as networks
-from tramstream import registry
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError, RecordError
 from tramstream.processor import Ordering, Processor, Smoothing
 from tramstream.recorder import apart
 from tramstream.recorder.compare import Comparison
+from tramstream.recorder.plan import Plan, read_plan
 from tramstream.recorder.reader import Record, open_record
-from tramstream.recorder.reprocess import Output, Plan, read_plan
+from tramstream.recorder.reprocess import Output
 from tramstream.recorder.writer import CHUNK_BYTES, RecordFile
 
 
@@ -31,6 +32,8 @@ class Rerun:
     sessions: int
     duration_s: float
     missing: dict[str, int]
+    undecodable: dict[str, int]
+    """Per key path: messages that were left out, as the live processors left them out."""
     comparison: Comparison | None
     without_map: str = ""
     """Why the configured track network was not used."""
@@ -54,7 +57,7 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
         raise ConfigError(f"{path}: holds no configuration; give one with --config")
     try:
         return msgspec.json.decode(text, type=Vehicle)
-    except msgspec.ValidationError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(
             f"{path}: the configuration in the record does not fit this version ({error}); "
             "give one with --config"
@@ -109,7 +112,7 @@ def rerun(
                 expect=comparison.expect if comparison is not None else None,
                 smoothed=smoothed.take if smooth else None,
             )
-            missing = apart.run(record, processors, plan, takers)
+            shortfall = apart.run(record, processors, plan, takers)
         if comparison is not None:
             comparison.close()
         return Rerun(
@@ -117,7 +120,11 @@ def rerun(
             smoothed=smoothed.count,
             sessions=len(plan.sessions),
             duration_s=(record.end_ns - record.start_ns) / S,
-            missing=missing,
+            missing=shortfall.missing,
+            undecodable={
+                keys.split(topic)[1] or topic: count
+                for topic, count in shortfall.undecodable.items()
+            },
             comparison=comparison,
             without_map=_without_map(vehicle),
         )

@@ -12,10 +12,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from google.protobuf.message import Message
 from numpy.typing import NDArray
 
 from tramstream import keys
 from tramstream.geodesy import LocalLevel
+from tramstream.proto.estimate_pb2 import MotionState
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import TruthState
 from tramstream.recorder.reader import Record
 from tramstream.series import (
     Array,
@@ -73,11 +77,13 @@ def read_ride(
     if fixes:
         wanted[keys.GNSS_FIX.path] = of_fixes
     by_topic = {
-        topic: wanted[path] for topic in record.channels if (path := keys.split(topic)[1]) in wanted
+        topic: columns
+        for topic in record.channels
+        if (columns := wanted.get(keys.split(topic)[1])) is not None
+        and record.type_of(topic) == columns.type.DESCRIPTOR.full_name
     }
-    decode = record.decode
-    for entry in record.messages(by_topic.__contains__):
-        by_topic[entry.topic].add(decode(entry))
+    for entry, message in record.decoded(by_topic.__contains__):
+        by_topic[entry.topic].add(message)
     for columns in (of_truth, *of_states.values(), of_fixes):
         level = level or columns.level()
     if level is None:
@@ -97,6 +103,7 @@ class _Columns:
     """
 
     width = 0
+    type: type[Message]
 
     def __init__(self) -> None:
         self.stamp_ns = array("q")
@@ -130,6 +137,7 @@ def _geodetic(numbers: Array) -> Array:
 class _States(_Columns):
     """MotionState."""
 
+    type = MotionState
     width = 13
 
     def __init__(self) -> None:
@@ -211,6 +219,7 @@ class _States(_Columns):
 class _Truth(_Columns):
     """TruthState; what is absent is NaN."""
 
+    type = TruthState
     width = 8
     optional = ("speed_mps", "roll_rad", "pitch_rad", "yaw_rad", "position_std_m")
 
@@ -236,6 +245,7 @@ class _Truth(_Columns):
 class _Fixes(_Columns):
     """GnssFix."""
 
+    type = GnssFix
     width = 6
 
     def add(self, message: Any) -> None:

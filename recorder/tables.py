@@ -84,9 +84,9 @@ def _columns(
 ) -> dict[str, list[str]]:
     """Every column that any message of a topic has, in the order of the fields."""
     found: dict[str, dict[str, _Order]] = {topic: {} for topic in topics}
-    for entry in record.messages(topics.__contains__):
+    for entry, message in record.decoded(topics.__contains__):
         known = found[entry.topic]
-        for order, name, _ in flatten(record.decode(entry)):
+        for order, name, _ in flatten(message):
             if name not in known:
                 known[name] = order
         if advance is not None:
@@ -106,10 +106,10 @@ def _write(
     with unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*_ARRIVAL, *map(cell, columns)])
-        for entry in record.messages(topic.__eq__):
+        for entry, message in record.decoded(topic.__eq__):
             row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
             row[0], row[1] = entry.log_ns, entry.publish_ns
-            for _, name, value in flatten(record.decode(entry)):
+            for _, name, value in flatten(message):
                 row[place[name]] = cell(value)
             writer.writerow(row)
             if advance is not None:

@@ -87,8 +87,7 @@ def _lines(places: list[_Place]) -> Iterator[list[_Place]]:
 
 
 def _places(record: Record, topic: str) -> Iterator[_Place]:
-    for entry in record.messages(topic.__eq__):
-        message = record.decode(entry)
+    for _, message in record.decoded(topic.__eq__):
         place = _of_fix(message) if isinstance(message, GnssFix) else _of_location(message)
         values = (place.longitude_deg, place.latitude_deg, place.height_m) if place else (math.nan,)
         if place is not None and all(map(math.isfinite, values)):

@@ -12,6 +12,8 @@ from tramstream.clock import S, VehicleClock
 from tramstream.keys import Key
 from tramstream.ports import join_reads
 from tramstream.proto.raw_pb2 import RawBytes
+from tramstream.resend import History
+from tramstream.tokens import Announced
 
 START_NS = 1_700_000_000 * S
 VEHICLE = "t1"
@@ -118,15 +120,49 @@ class Ear:
 
 
 class Sender:
-    """Publishes as another process would: with its own session and sequence numbers."""
+    """Publishes as another process would: with its own session and sequence numbers.
 
-    def __init__(self, bus: LocalBus) -> None:
+    Without a `session`, with the bus' own.
+    """
+
+    def __init__(self, bus: LocalBus, session: int | None = None) -> None:
         self.bus = bus
+        self.session = session
         self._sequences: dict[str, int] = {}
+        self._history = History(session or 0)
+        self._end: Callable[[], None] | None = None
+
+    def announce(self, node: str) -> None:
+        """Be alive as a node is."""
+        assert self.session is not None
+        topic = keys.alive(VEHICLE, node)
+        self._end = self.bus._declare(Announced(topic, self.bus.clock.now_ns(), self.session).token)
+
+    def end(self) -> None:
+        """Die: the token is gone."""
+        assert self._end is not None
+        self._end()
 
     def send(self, key: Key, message: Any, skip: int = 0) -> None:
         """Publish `message`; `skip` sequence numbers are lost before it."""
-        sequence = self._sequences.get(key.path, 0) + 1 + skip
-        self._sequences[key.path] = sequence
-        message.sequence = sequence
-        self.bus.publish(key.on(VEHICLE), message.SerializeToString(), key.encoding, sequence)
+        message.sequence = self._number(key, skip)
+        self._publish(key, message.SerializeToString())
+
+    def send_bytes(self, key: Key, payload: bytes) -> None:
+        """Publish what need not be a message."""
+        self._number(key, 0)
+        self._publish(key, payload)
+
+    def _number(self, key: Key, skip: int) -> int:
+        number = self._sequences[key.path] = self._sequences.get(key.path, 0) + 1 + skip
+        return number
+
+    def _publish(self, key: Key, payload: bytes) -> None:
+        bus = self.bus
+        ours = bus.session, bus.history
+        try:
+            if self.session is not None:
+                bus.session, bus.history = self.session, self._history
+            bus.publish(key.on(VEHICLE), payload, key.encoding, self._sequences[key.path])
+        finally:
+            bus.session, bus.history = ours

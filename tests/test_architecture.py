@@ -234,6 +234,33 @@ def test_every_entry_point_names_a_module_of_ours() -> None:
             assert (folder_of(package) / f"{stem}.py").is_file(), f"{group}: {name} = {target}"
 
 
+OWN_BYTES = {
+    "bridges/gnss.py",
+    "processors/resampler.py",
+    "processors/tram.py",
+    "processors/tram_search.py",
+    "recorder/apart.py",
+    "recorder/reader.py",
+    "tramstream/boundary.py",
+    "tramstream/place.py",
+    "tramstream/resend.py",
+    "tramstream/snapshots.py",
+    "cli/fleet.py",
+}
+"""Decode what the same program encoded (memory, pipes, caches), or are the boundary themselves."""
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_bytes_of_strangers_are_decoded_at_the_boundary_only(name: str) -> None:
+    calls = {"FromString", "ParseFromString", "MergeFromString"}
+    found = [
+        node.lineno
+        for node in ast.walk(TREES[name])
+        if isinstance(node, ast.Attribute) and node.attr in calls
+    ]
+    assert not found or name in OWN_BYTES, f"{name}:{found[0]}: use tramstream.boundary.decode"
+
+
 def test_generated_code_is_that_of_the_proto_files(tmp_path: Path) -> None:
     pytest.importorskip("grpc_tools", reason="needs tramstream[test]")
     made = generate.generate(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -14,13 +15,16 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
+import zenoh
 
 from tramstream import bus as bus_module
 from tramstream.bus import Bus, Envelope, LocalBus, ZenohBus, router_listens, socket_path
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError
+from tramstream.proto.resend_pb2 import ResendAnswer, ResendRequest, ResendStretch
 
 DEADLINE_S = 10.0
 ENCODING = "application/protobuf;tramstream.ImuMean"
@@ -157,12 +161,61 @@ class Contract:
         ]
         assert self.reader.alive("t/x/health/*/alive") == []
 
+    def test_who_is_announced_is_known_by_session_also_after_a_new_start(self) -> None:
+        topic = "t/v/health/replay/alive"
+        self.sender.announce(topic)
+        until(lambda: self.reader.announced(topic), "the token")
+        (first,) = self.reader.announced(topic)
+        assert (first.topic, first.session) == (topic, self.sender.session)
+        assert 0 < first.since_ns <= self.reader.clock.now_ns()
+        self.sender.renew_session()
+        until(
+            lambda: (
+                [each.session for each in self.reader.announced(topic)] == [self.sender.session]
+            ),
+            "the new session instead of the old one",
+        )
+        assert self.sender.session not in (0, first.session)
+
     def test_questions_are_answered_and_silence_is_none(self) -> None:
         self.reader.answer("t/schema/*", lambda t: t.encode() if t.endswith("known") else None)
         until(lambda: self.sender.ask("t/schema/known"), "the answer")
         assert self.sender.ask("t/schema/known") == [b"t/schema/known"]
         assert self.sender.ask("t/schema/other", timeout_s=0.5) == []
         assert self.sender.ask("t/nobody", timeout_s=0.5) == []
+
+    def ask_again(self, *stretches: ResendStretch, session: int | None = None) -> list[bytes]:
+        """Payloads of what is sent once more."""
+        request = ResendRequest(stretches=stretches).SerializeToString()
+        answers = map(ResendAnswer.FromString, self.reader.ask_again(request, session))
+        return [m.payload for a in answers for part in a.stretches for m in part.messages]
+
+    def test_what_was_published_can_be_had_again(self) -> None:
+        self.hear("a/b")
+        times = [self.send("a/b", number, bytes([number])) for number in range(1, 6)]
+        session = self.sender.session
+        wanted = ResendStretch(
+            topic="a/b",
+            session=session,
+            after_publish_ns=times[0],
+            before_publish_ns=times[4],
+        )
+        until(lambda: self.ask_again(wanted, session=session), "the publisher's answer")
+        assert self.ask_again(wanted, session=session) == [b"\2", b"\3", b"\4"]
+        assert self.ask_again(wanted) == [b"\2", b"\3", b"\4"]
+        assert self.ask_again(wanted, session=session ^ 1) == []
+
+    def test_question_that_nobody_can_read_has_no_answer(self) -> None:
+        assert list(self.reader.ask_again(b"\xff\xff", timeout_s=0.5)) == []
+
+    def test_new_session_keeps_nothing_of_the_old_one(self) -> None:
+        self.hear("a/b")
+        self.send("a/b", 1, b"old")
+        self.sender.renew_session()
+        self.send("a/b", 1, b"new")
+        wanted = ResendStretch(topic="a/b")
+        until(lambda: self.ask_again(wanted, session=self.sender.session), "the new session")
+        assert self.ask_again(wanted) == [b"new"]
 
     def test_new_session_has_another_number(self) -> None:
         before = self.sender.session
@@ -427,6 +480,76 @@ def test_frozen_subscriber_does_not_stall_the_others(
     assert slowest_s < 0.5
     assert longest_s < 0.5
     for each in (sender, reader, router):
+        each.close()
+
+
+@pytest.mark.live
+def test_zenoh_is_really_given_queues_and_patience(
+    runtime_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read out of the configurations that sessions were opened with, not out of our constants."""
+    given: list[dict[str, Any]] = []
+    opened = zenoh.open
+
+    def remember(config: zenoh.Config) -> zenoh.Session:
+        names = ("mode", "transport/link/tx/queue", "transport/shared_memory", "scouting")
+        given.append({name: json.loads(config.get_json(name)) for name in names})
+        return opened(config)
+
+    monkeypatch.setattr(zenoh, "open", remember)
+    router = ZenohBus.route(runtime_dir, CLOCK)
+    client = ZenohBus.connect(runtime_dir, CLOCK)
+    for each in (client, router):
+        each.close()
+    by_mode = {each["mode"]: each for each in given}
+    assert set(by_mode) == {"router", "client"}
+    for mode, patience_us in (("router", 1000), ("client", 200_000)):
+        queue = by_mode[mode]["transport/link/tx/queue"]
+        assert queue["size"]["data"] == 16
+        assert queue["congestion_control"]["drop"]["wait_before_drop"] == patience_us
+        assert not by_mode[mode]["transport/shared_memory"]["enabled"]
+        assert not by_mode[mode]["scouting"]["multicast"]["enabled"]
+        assert not by_mode[mode]["scouting"]["gossip"]["enabled"]
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("halt_s", [2.0, 4.0])
+def test_router_that_is_halted_for_seconds_loses_nothing(
+    runtime_dir: Path, start: Callable[[str], Other], halt_s: float
+) -> None:
+    """Five publishers with a vehicle's 700 messages a second; with zenoh's own queues 683, 1417."""
+    router = start(ROUTER)
+    senders = [ZenohBus.connect(runtime_dir, CLOCK) for _ in range(5)]
+    reader = ZenohBus.connect(runtime_dir, CLOCK)
+    got: list[Envelope] = []
+    reader.subscribe("a/*", got.append)
+    for index, sender in enumerate(senders):
+        topic = f"a/{index}"
+        until(
+            lambda sender=sender, topic=topic: (
+                sender.publish(topic, b"", ENCODING, 1)
+                and any(envelope.topic == topic for envelope in got)
+            ),
+            f"messages on {topic}",
+        )
+    router.send_signal(signal.SIGSTOP)
+    begin_s, count = time.monotonic(), int(140 * halt_s)
+    for number in range(count):
+        time.sleep(max(0.0, begin_s + number / 140 - time.monotonic()))
+        for index, sender in enumerate(senders):
+            sender.publish(f"a/{index}", bytes(310), ENCODING, 2 + number)
+    router.send_signal(signal.SIGCONT)
+
+    def last_of_all() -> bool:
+        for index, sender in enumerate(senders):
+            sender.publish(f"a/{index}", b"", ENCODING, count + 2)
+        return len({e.topic for e in got if e.sequence == count + 2}) == len(senders)
+
+    until(last_of_all, "the last messages")
+    for index in range(len(senders)):
+        came = {e.sequence for e in got if e.topic == f"a/{index}"}
+        assert came == set(range(1, count + 3))
+    for each in (*senders, reader):
         each.close()
 
 

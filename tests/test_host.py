@@ -141,14 +141,18 @@ def test_processor_that_raises_is_told_and_the_others_go_on(world: World) -> Non
     assert world.ear.heard(keys.HEARTBEAT)[-1].state == NodeHealth.DEGRADED
 
 
-def test_message_that_is_garbage_is_a_fault_and_the_loop_goes_on(world: World) -> None:
+def test_message_that_is_garbage_is_refused_and_no_fault(world: World) -> None:
     def garbage() -> None:
         world.bus.publish(keys.GNSS_FIX.on(VEHICLE), b"\xff\xff", keys.GNSS_FIX.encoding, 1)
 
     first = Remembering()
     node = world.run([first], garbage, world.fix)
-    assert node.faults == 1
+    assert node.faults == 0
+    assert node.refusals.count == 1
     assert first.seen.count(keys.GNSS_FIX.path) == 1
+    beat = world.ear.heard(keys.HEARTBEAT)[-1]
+    assert beat.state == NodeHealth.DEGRADED
+    assert "raw/gnss/fix holds bytes that are no tramstream.GnssFix" in beat.text
 
 
 # Ticks --------------------------------------------------------------------------------------------

@@ -8,34 +8,30 @@ stall everybody). Callbacks run on the bus' threads: they may append to a queue 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import socket
 import struct
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import zenoh
 
-from tramstream import keys
+from tramstream import keys, tokens
+from tramstream.bus_settings import client_settings, router_settings
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError
+from tramstream.resend import History
+from tramstream.router_socket import lock_router, router_listens, socket_path
+from tramstream.subscription import Subscription
 
 HEADER = struct.Struct("<QQI")
 """Attachment of every put: publish_ns, sequence, session."""
 CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
-CONNECT_TIMEOUT_MS = 2000
-QUEUE_BATCHES = 16
-"""Of 64 KiB; zenoh allows no more."""
-WAIT_FOR_ROUTER_US = 200_000
-SOCKET_PATH_MAX = 100
-"""A Unix socket's path has 108 bytes; zenoh appends to it."""
 
 
 class Envelope(NamedTuple):
@@ -53,14 +49,6 @@ class Envelope(NamedTuple):
 Deliver = Callable[[Envelope], None]
 
 
-class Subscription(ABC):
-    """An open subscription."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End it; may be called twice."""
-
-
 class Bus(ABC):
     """What nodes see of the bus."""
 
@@ -68,11 +56,15 @@ class Bus(ABC):
         self.clock = clock
         self._lock = threading.RLock()
         self._last_publish_ns: dict[str, int] = {}
+        self._tokens: dict[str, Callable[[], None]] = {}
         self.renew_session()
 
     def renew_session(self) -> None:
         """Begin sequence numbers anew: readers take it for another start of the publisher."""
-        self.session = int.from_bytes(os.urandom(4), "little")
+        self.session = int.from_bytes(os.urandom(4), "little") or 1
+        self.history = History(self.session)
+        for topic in list(self._tokens):
+            self.announce(topic)
 
     def publish(
         self,
@@ -91,6 +83,7 @@ class Bus(ABC):
             wanted_ns = self.clock.now_ns() if publish_ns is None else publish_ns
             publish_ns = max(wanted_ns, self._last_publish_ns.get(topic, 0) + 1)
             self._last_publish_ns[topic] = publish_ns
+            self.history.keep(topic, payload, encoding, sequence, publish_ns)
             self._put(topic, payload, encoding, sequence, publish_ns)
         return publish_ns
 
@@ -104,13 +97,28 @@ class Bus(ABC):
     def subscribe(self, expression: str, deliver: Deliver) -> Subscription:
         """Call `deliver` for every message on a key that `expression` includes."""
 
-    @abstractmethod
     def announce(self, topic: str) -> None:
-        """Be alive under `topic` until closed."""
+        """Be alive under `topic`, with the session of all that is published, until closed."""
+        announced = tokens.Announced(topic, self.clock.now_ns(), self.session)
+        withdraw, self._tokens[topic] = self._tokens.get(topic), self._declare(announced.token)
+        if withdraw is not None:
+            withdraw()
 
     @abstractmethod
+    def _declare(self, token: str) -> Callable[[], None]:
+        """Be alive under `token` until closed, or what is returned is called."""
+
+    def announced(self, expression: str) -> list[tokens.Announced]:
+        """Who is announced now under topics that `expression` includes."""
+        return tokens.read(self._alive(f"{expression}/*"))
+
     def alive(self, expression: str) -> list[str]:
         """Topics announced now."""
+        return sorted({each.topic for each in self.announced(expression)})
+
+    @abstractmethod
+    def _alive(self, expression: str) -> list[str]:
+        """Tokens declared now."""
 
     @abstractmethod
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
@@ -121,17 +129,16 @@ class Bus(ABC):
         """Answers to a query on `topic`."""
 
     @abstractmethod
+    def ask_again(
+        self, request: bytes, session: int | None = None, timeout_s: float = 2.0
+    ) -> Iterator[bytes]:
+        """Answers of publishers (`tramstream.resend`), of all or the one with `session`.
+
+        Blocks until all have answered, or for `timeout_s`: not for a bus' own threads.
+        """
+
+    @abstractmethod
     def close(self) -> None: ...
-
-
-class _Closing(Subscription):
-    def __init__(self, close: Callable[[], None]) -> None:
-        self._close: Callable[[], None] | None = close
-
-    def close(self) -> None:
-        close, self._close = self._close, None
-        if close is not None:
-            close()
 
 
 class LocalBus(Bus):
@@ -163,13 +170,14 @@ class LocalBus(Bus):
 
         with self._lock:
             self._readers.append(entry)
-        return _Closing(close)
+        return Subscription(close)
 
-    def announce(self, topic: str) -> None:
-        self._announced.append(topic)
+    def _declare(self, token: str) -> Callable[[], None]:
+        self._announced.append(token)
+        return lambda: self._announced.remove(token)
 
-    def alive(self, expression: str) -> list[str]:
-        return sorted(topic for topic in self._announced if keys.matches(expression, topic))
+    def _alive(self, expression: str) -> list[str]:
+        return [token for token in self._announced if keys.matches(expression, token)]
 
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         self._answers.append((expression, reply))
@@ -177,6 +185,13 @@ class LocalBus(Bus):
     def ask(self, topic: str, timeout_s: float = 2.0) -> list[bytes]:
         answers = [reply(topic) for expr, reply in self._answers if keys.matches(expr, topic)]
         return [answer for answer in answers if answer is not None]
+
+    def ask_again(
+        self, request: bytes, session: int | None = None, timeout_s: float = 2.0
+    ) -> Iterator[bytes]:
+        answer = self.history.answer(request) if session in (None, self.session) else None
+        if answer is not None:
+            yield answer
 
     def close(self) -> None:
         with self._lock:
@@ -189,14 +204,30 @@ class ZenohBus(Bus):
     """A zenoh session on the vehicle's Unix socket, as a client or as the router itself."""
 
     def __init__(self, session: Any, clock: VehicleClock, patient: bool = False) -> None:
-        super().__init__(clock)
         self._session = session
+        self._resender: Any = None
+        super().__init__(clock)
         self._congestion = (
             zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
         )
         self._publishers: dict[tuple[str, str], Any] = {}
         self._held: list[Any] = []
         self._router_lock: int | None = None
+
+    def renew_session(self) -> None:
+        super().renew_session()
+        if self._resender is not None:
+            self._resender.undeclare()
+        history = self.history
+
+        def callback(query: Any) -> None:  # on a thread of its own
+            with query:
+                asked = query.payload
+                data = history.answer(asked.to_bytes()) if asked is not None else None
+                if data is not None:
+                    query.reply(query.key_expr, data)
+
+        self._resender = self._session.declare_queryable(keys.resend(self.session), callback)
 
     @classmethod
     def connect(
@@ -220,7 +251,7 @@ class ZenohBus(Bus):
         while True:
             if router_listens(runtime_dir):
                 try:
-                    return cls(_open(_client_config(path)), clock, patient)
+                    return cls(_open(client_settings(path)), clock, patient)
                 except BusError:  # the router went in this instant
                     if stop is None:
                         raise
@@ -240,10 +271,10 @@ class ZenohBus(Bus):
             If a router is there already.
         """
         path = socket_path(runtime_dir)
-        lock = _lock_router(runtime_dir)
+        lock = lock_router(runtime_dir)
         try:
             path.unlink(missing_ok=True)  # left by a router that was killed
-            bus = cls(_open(_router_config(path)), clock, patient)
+            bus = cls(_open(router_settings(path)), clock, patient)
         except BaseException:
             os.close(lock)
             raise
@@ -287,14 +318,15 @@ class ZenohBus(Bus):
 
         subscriber = self._session.declare_subscriber(expression, callback)
         self._held.append(subscriber)
-        return _Closing(subscriber.undeclare)
+        return Subscription(subscriber.undeclare)
 
-    def announce(self, topic: str) -> None:
-        self._held.append(self._session.liveliness().declare_token(topic))
+    def _declare(self, token: str) -> Callable[[], None]:
+        withdraw: Callable[[], None] = self._session.liveliness().declare_token(token).undeclare
+        return withdraw
 
-    def alive(self, expression: str) -> list[str]:
+    def _alive(self, expression: str) -> list[str]:
         replies = self._session.liveliness().get(expression, timeout=1.0)
-        return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok is not None})
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         def callback(query: Any) -> None:
@@ -309,6 +341,25 @@ class ZenohBus(Bus):
         replies = self._session.get(topic, timeout=timeout_s)
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
+    def ask_again(
+        self, request: bytes, session: int | None = None, timeout_s: float = 2.0
+    ) -> Iterator[bytes]:
+        try:
+            replies = self._session.get(
+                keys.resend(session),
+                payload=request,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                # Answers too: one that finds no room is asked for again, and stalls nobody.
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        except zenoh.ZError:  # closed meanwhile: nobody answers
+            return
+        for reply in replies:
+            if reply.ok is not None:
+                yield reply.ok.payload.to_bytes()
+
     def close(self) -> None:
         closer = threading.Thread(target=self._session.close, name="zenoh-close", daemon=True)
         closer.start()
@@ -318,52 +369,6 @@ class ZenohBus(Bus):
             self._router_lock = None
 
 
-def socket_path(runtime_dir: Path) -> Path:
-    """Where the router of `runtime_dir` listens."""
-    path = runtime_dir / "bus.sock"
-    if len(os.fsencode(path)) > SOCKET_PATH_MAX:
-        raise BusError(
-            f"{path}: longer than a Unix socket's path may be ({SOCKET_PATH_MAX} bytes); set "
-            "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a shorter one"
-        )
-    return path
-
-
-def _lock_router(runtime_dir: Path) -> int:
-    """Be the only router of `runtime_dir` until the returned descriptor is closed, or we die.
-
-    Not by looking whether somebody answers on the socket: two that start at once would both find
-    nobody, and a frozen router does not answer.
-    """
-    path = runtime_dir / "router.lock"
-    try:
-        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        raise BusError(
-            f"{path}: cannot be written ({error.strerror}); set $.bus.runtime_dir or "
-            "TRAMSTREAM_RUNTIME_DIR to a folder that you may write"
-        ) from error
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(lock)
-        raise BusError(
-            f"{socket_path(runtime_dir)}: a router is listening already; stop the other "
-            "`tramstream run`, `demo` or `replay`, or give this one another $.bus.runtime_dir"
-        ) from error
-    return lock
-
-
-def router_listens(runtime_dir: Path) -> bool:
-    """Whether something accepts connections on the socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(socket_path(runtime_dir)))
-        except OSError:
-            return False
-    return True
-
-
 LOG = "error,zenoh::api::session=off"
 """zenoh logs on stdout, where our JSON goes: a session that closes while data are on their way
 calls them data for an unknown key. What is lost, sequence numbers tell. RUST_LOG overrides."""
@@ -371,29 +376,7 @@ calls them data for an unknown key. What is lost, sequence numbers tell. RUST_LO
 
 def _open(config: dict[str, Any]) -> Any:
     zenoh.init_log_from_env_or(LOG)
-    # Found by name only: opening takes 3 ms instead of 503, and nothing listens that need not.
-    settings = config | {
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {"shared_memory": {"enabled": False}},
-    }
     try:
-        return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
         raise BusError(f"the bus cannot be opened: {error}") from error
-
-
-def _router_config(path: Path) -> dict[str, Any]:
-    return {"mode": "router", "listen": {"endpoints": [f"unixsock-stream/{path}"]}}
-
-
-def _client_config(path: Path) -> dict[str, Any]:
-    retry = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
-    return {
-        "mode": "client",
-        "listen": {"endpoints": []},
-        "connect": {
-            "endpoints": [f"unixsock-stream/{path}"],
-            "timeout_ms": CONNECT_TIMEOUT_MS,
-            "retry": retry,
-        },
-    }

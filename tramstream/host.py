@@ -3,6 +3,7 @@
 Between the processors of one process objects are passed, not bytes; each output is encoded once,
 for the bus. Where a processor listens to ticks, the host makes them, ten a second, each with how
 far every input had been read: that, and the snapshots, is what reprocessing repeats a ride by.
+An input that is no message, or has a stamp from the future, is refused: counted, told, named.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from statistics import median_low
 from typing import Any
 
 from tramstream import keys, snapshots
+from tramstream.boundary import Undecodable, decode
 from tramstream.bus import Bus, Envelope
 from tramstream.clock import S
 from tramstream.keys import Key
 from tramstream.node import Node
 from tramstream.ports import Port, PortReader
 from tramstream.processor import Ledger, Processor, Sample
-from tramstream.proto.health_pb2 import DeviceHealth
+from tramstream.proto.health_pb2 import DeviceHealth, Loss
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
+from tramstream.stamps import MAX_AHEAD_NS, ahead_ns
 
 TICK_S = 0.1
 RAW_S = 0.1
@@ -73,6 +76,7 @@ class ProcessorNode(Node):
         self._ticks = keys.SYNC_TICK.path in self._consumers
         self._tick_sequence = 0
         self._tick_ns = 0
+        self._received = 0
         self._session = int.from_bytes(os.urandom(8), "little")
         self._snapshot_path = snapshot_path
         self._configuration = configuration
@@ -131,12 +135,32 @@ class ProcessorNode(Node):
         return lambda message: self.ring.put(port.key.path, (port.key, message))
 
     def handle(self, envelope: Envelope) -> None:
-        key = self._by_topic[envelope.topic]
-        message: Any = key.type.FromString(envelope.payload)
+        self._received += 1
+        topic = envelope.topic
+        key = self._by_topic.get(topic)
+        if key is None:
+            who = self.sources.name(envelope.session)
+            self._refuse(envelope, Loss.SOURCE, f"is from a second publisher, {who}")
+            return
+        message = decode(key.type, envelope.payload, topic)
+        if isinstance(message, Undecodable):
+            self._refuse(envelope, Loss.UNDECODABLE, f"holds bytes that are {message.reason}")
+            return
+        ahead = ahead_ns(message, envelope.arrival_ns)
+        if ahead > MAX_AHEAD_NS:
+            limit_s = MAX_AHEAD_NS / S
+            why = f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {limit_s:g} s"
+            self._refuse(envelope, Loss.STAMP, why)
+            return
+        if self.refusals.runs:
+            self.refusals.close(topic)
         sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
         if self._ticks:
             self._note(sample, envelope.arrival_ns)
         self.dispatch(sample)
+
+    def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: str) -> None:
+        self.refusals.refuse(envelope, cause, why, self.clock.now_ns())
 
     def handle_item(self, item: Any) -> None:
         """Keep the raw bytes for the record, whatever the decoder then makes of them."""
@@ -182,6 +206,7 @@ class ProcessorNode(Node):
         if known is None:
             return
         now_ns = self._tick_ns = max(known, self._tick_ns)
+        self.tell_refusals()  # before the tick that counts what was used instead
         self._tick_sequence += 1
         message = Tick(
             stamp_ns=now_ns,
@@ -250,7 +275,8 @@ class ProcessorNode(Node):
         self.trouble = "; ".join(text for text in texts if text)
 
     def ledgers(self) -> list[Ledger]:
-        return [ledger for processor in self.processors for ledger in processor.ledgers()]
+        inside = [ledger for processor in self.processors for ledger in processor.ledgers()]
+        return [self.refusals.ledger(self._received, 0), *inside] if self._by_topic else inside
 
 
 class _Lead:

@@ -23,6 +23,8 @@ SCHEMA_VERSION = 1
 """Raised whenever a message changes so that an older reader would misread it."""
 
 ANY_SOURCE = "*"
+APART = "@"
+"""Stands in no key; see `apart`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,9 +173,29 @@ def alive(vehicle: str, node: str) -> str:
     return f"{ROOT}/{vehicle}/health/{node}/alive"
 
 
+def apart(topic: str, session: int) -> str:
+    """Where the recorder keeps what a second publisher sends on `topic`."""
+    return f"{topic}{APART}{session:08x}"
+
+
+def published(topic: str) -> str:
+    """Where that was published; any other topic as it is."""
+    return topic.partition(APART)[0]
+
+
+def is_apart(topic: str) -> bool:
+    """Whether `topic` is such a place: readers show it, and nobody computes with it."""
+    return APART in topic
+
+
 def schema(type_name: str) -> str:
     """Where the router answers with the FileDescriptorSet of a message type."""
     return f"{ROOT}/schema/{type_name}"
+
+
+def resend(session: int | None = None) -> str:
+    """Where a bus session is asked for what it published lately; without one, all sessions."""
+    return f"{ROOT}/resend/{ANY_SOURCE if session is None else f'{session:08x}'}"
 
 
 def find(path: str) -> Key | None:

@@ -26,7 +26,9 @@ from tramstream.keys import Key
 from tramstream.losses import LossCounter
 from tramstream.processor import Ledger, Sample, stamp
 from tramstream.proto.health_pb2 import NodeHealth, StageLedger
+from tramstream.refusals import Refusals
 from tramstream.ring import Ring
+from tramstream.sources import ASK_S, Sources
 
 RING_CAPACITY = 8192
 """Ten seconds of all keys at full live load."""
@@ -69,6 +71,8 @@ class Node(ABC):
         self.stop = stop
         self.ring: Ring[Any] = Ring(RING_CAPACITY)
         self.losses = LossCounter(name)
+        self.refusals = Refusals(name)
+        self.sources = Sources(lambda: bus.announced(keys.alive(vehicle, keys.ANY_SOURCE)))
         self.faults = 0
         self.trouble = ""
         """One sentence when something is wrong; part of the heartbeat."""
@@ -86,7 +90,7 @@ class Node(ABC):
 
     @abstractmethod
     def handle(self, envelope: Envelope) -> None:
-        """Work on one message from the bus."""
+        """Work on one message from the bus; one of a second publisher has a topic of its own."""
 
     def handle_item(self, item: Any) -> None:
         """Work on something that this node's own threads put into the ring."""
@@ -115,6 +119,8 @@ class Node(ABC):
         ]
         self.bus.announce(keys.alive(self.vehicle, self.name))
         self.every(HEARTBEAT_S, self.heartbeat)
+        if subscriptions:
+            self.every(ASK_S, self.settle_sources)
         try:
             self.begin()
             self.heartbeat()
@@ -126,6 +132,7 @@ class Node(ABC):
             for subscription in subscriptions:
                 subscription.close()
             self.drain()
+            self.settle_sources(at_end=True)
         finally:
             self.finish()
             self.heartbeat()
@@ -148,14 +155,38 @@ class Node(ABC):
         if item is not None:
             try:
                 if isinstance(item, Envelope):
-                    for loss in self.losses.see(item, self.ring.dropped):
-                        self.publish(keys.LOSS.at(self.name), loss)
-                    self.handle(item)
+                    self._take(item)
                 else:
                     self.handle_item(item)
             except Exception as error:  # noqa: BLE001  the boundary: told in health, never hidden
                 self.fault(error)
         self._run_timers()
+
+    def _take(self, envelope: Envelope) -> None:
+        """Work on a message if it is the key's publisher's; see `tramstream.sources`."""
+        source = self.sources.by_topic.get(envelope.topic)
+        if (
+            source is not None
+            and source.session == envelope.session
+            and not source.rivals
+            and envelope.sequence
+        ):
+            source.last_ns = envelope.publish_ns
+            self._work(envelope)
+            return
+        for each in self.sources.judge(envelope, self.clock.now_ns()):
+            self._work(each)
+
+    def _work(self, envelope: Envelope) -> None:
+        for loss in self.losses.see(envelope, self.ring.dropped):
+            self.publish(keys.LOSS.at(self.name), loss)
+        self.handle(envelope)
+
+    def settle_sources(self, at_end: bool = False) -> None:
+        """Go on with messages whose publisher was in doubt."""
+        if self.sources.contested:
+            for envelope in self.sources.settle(self.clock.now_ns(), at_end):
+                self._work(envelope)
 
     def _run_timers(self) -> None:
         now_ns = self.clock.now_ns()
@@ -201,9 +232,18 @@ class Node(ABC):
             self._fault_told_ns = now_ns
             self.log("".join(traceback.format_exception(error)), Log.ERROR)
 
+    def tell_refusals(self) -> None:
+        """Name what was read and not used since the last time; say the news of it."""
+        for loss in self.refusals.take_losses():
+            self.publish(keys.LOSS.at(self.name), loss)
+        for sentence in self.refusals.take_sentences(self.clock.now_ns()):
+            self.log(sentence)
+
     def heartbeat(self) -> None:
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        text = _printable(self.trouble)
+        self.tell_refusals()
+        refused = self.refusals.text(self.clock.now_ns())
+        text = _printable("; ".join(filter(None, (self.trouble, refused))))
         if self.faults and not text:
             text = f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
         self.publish(

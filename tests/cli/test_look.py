@@ -168,6 +168,13 @@ def test_publisher_that_starts_anew_loses_nothing():
     assert missing(by_time, (90, 0, 1), (91, 0, 2), (4, 0, 3), (5, 0, 4)) == [0] * 4
 
 
+def test_two_publishers_are_counted_each_by_itself():
+    sequence = Sequence()
+    seen = (1, 1, 1), (90, 2, 2), (2, 1, 3), (92, 2, 4), (5, 1, 5), (93, 2, 6)
+    assert missing(sequence, *seen) == [0, 0, 0, 1, 2, 0]
+    assert (sequence.lost, sequence.disordered) == (3, 0)
+
+
 def test_message_out_of_order_is_no_restart():
     sequence = Sequence()
     assert missing(sequence, (1, 1, 1), (3, 1, 3), (2, 1, 2), (4, 1, 4)) == [0, 1, 0, 0]

@@ -119,9 +119,17 @@ class Loss(_message.Message):
         BUS: _ClassVar[Loss.Cause]
         QUEUE: _ClassVar[Loss.Cause]
         DISK: _ClassVar[Loss.Cause]
+        ABSENT: _ClassVar[Loss.Cause]
+        UNDECODABLE: _ClassVar[Loss.Cause]
+        STAMP: _ClassVar[Loss.Cause]
+        SOURCE: _ClassVar[Loss.Cause]
     BUS: Loss.Cause
     QUEUE: Loss.Cause
     DISK: Loss.Cause
+    ABSENT: Loss.Cause
+    UNDECODABLE: Loss.Cause
+    STAMP: Loss.Cause
+    SOURCE: Loss.Cause
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     CONSUMER_FIELD_NUMBER: _ClassVar[int]

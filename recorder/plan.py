@@ -1,0 +1,86 @@
+"""What a record tells about the live run of its processors: sessions, late samples, losses."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from itertools import accumulate
+
+from tramstream import keys
+from tramstream.proto.health_pb2 import Loss
+from tramstream.proto.sync_pb2 import LateSample, Snapshot
+from tramstream.recorder.reader import Record
+
+RECORDER = "recorder"
+
+
+@dataclass
+class Session:
+    """One start of the live processors, as far as it is in the record."""
+
+    snapshot: Snapshot
+    publish_ns: int
+    """When the snapshot was published: outputs published later are repeated."""
+
+
+@dataclass
+class Plan:
+    """What the record tells about the live run."""
+
+    sessions: list[Session] = field(default_factory=list)
+    late: dict[tuple[str, int], LateSample] = field(default_factory=dict)
+    skip: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    """Per key path: publication times (exclusive) of what the live processors never got or used."""
+    recorder_lost: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def anchored(self) -> bool:
+        return bool(self.sessions)
+
+
+class Spans:
+    """Open intervals, asked whether an instant lies in one of them."""
+
+    def __init__(self, spans: Iterable[tuple[int, int]]) -> None:
+        ordered = sorted(spans)
+        self._after_ns = [after_ns for after_ns, _ in ordered]
+        # The furthest end so far: intervals may overlap.
+        self._before_ns = list(accumulate((before_ns for _, before_ns in ordered), max))
+
+    def __contains__(self, stamp_ns: int) -> bool:
+        index = bisect_left(self._after_ns, stamp_ns) - 1
+        return index >= 0 and stamp_ns < self._before_ns[index]
+
+
+def read_plan(record: Record, consumers: Collection[str]) -> Plan:
+    """Collect snapshots, late samples and losses; `consumers` are the nodes that run processors."""
+    plan = Plan()
+    controls = {
+        keys.SYNC_SNAPSHOT.path,
+        keys.SYNC_LATE.path,
+        *(keys.LOSS.at(node).path for node in (RECORDER, *consumers)),
+    }
+    for entry, message in record.decoded(lambda topic: keys.split(topic)[1] in controls):
+        if isinstance(message, Snapshot):
+            _see_snapshot(plan, message, entry.publish_ns)
+        elif isinstance(message, LateSample):
+            if message.source_publish_ns:
+                plan.late[message.key, message.source_publish_ns] = message
+        elif isinstance(message, Loss):
+            _see_loss(plan, message)
+    return plan
+
+
+def _see_snapshot(plan: Plan, snapshot: Snapshot, publish_ns: int) -> None:
+    if any(known.snapshot.session == snapshot.session for known in plan.sessions):
+        return
+    plan.sessions.append(Session(snapshot, publish_ns))
+
+
+def _see_loss(plan: Plan, loss: Loss) -> None:
+    path = keys.split(loss.key)[1]
+    if loss.consumer != RECORDER:
+        plan.skip.setdefault(path, []).append((loss.after_publish_ns, loss.before_publish_ns))
+    else:
+        plan.recorder_lost[path] = plan.recorder_lost.get(path, 0) + loss.count

@@ -1,0 +1,97 @@
+"""The recorder as a node, on a bus within one process: its ledger, its losses, its questions."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+from scripted import VEHICLE, Ear, ManualClock, Script, Sender
+
+from tramstream import keys
+from tramstream.bus import LocalBus
+from tramstream.config import Recorder
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.proto.resend_pb2 import ResendAnswer
+from tramstream.recorder.node import RecorderNode
+from tramstream.recorder.reader import open_record
+
+FIX = keys.GNSS_FIX.on(VEHICLE)
+
+
+def node(bus: LocalBus, folder: Path, stop: threading.Event) -> RecorderNode:
+    settings = Recorder(directory=str(folder), free_space_floor_bytes=0)
+    return RecorderNode(VEHICLE, bus, stop, settings, {}, goes_on=True)
+
+
+def fixes(folder: Path) -> list[int]:
+    """Sequence numbers of the recorded fixes."""
+    with open_record(folder) as record:
+        return [entry.sequence for entry in record.messages(FIX.__eq__)]
+
+
+def test_messages_that_the_disk_did_not_take_are_no_longer_delivered(tmp_path: Path) -> None:
+    folder = tmp_path / "taken"
+    folder.write_text("a file where the folder should be")
+    bus = LocalBus(ManualClock())
+    ear, sender = Ear(bus), Sender(bus)
+    steps = [lambda: sender.send(keys.GNSS_FIX, GnssFix())] * 20
+    recorder = node(bus, folder, Script(*steps))
+    recorder.run()
+    (ledger,) = recorder.ledgers()
+    assert ledger.balanced
+    assert ledger.delivered == 0
+    losses: list[Loss] = ear.heard(keys.LOSS.at("recorder"))
+    assert sum(loss.count for loss in losses if loss.key == FIX) == 20
+    assert {loss.cause for loss in losses} == {Loss.DISK}
+    assert sum(loss.count for loss in losses) <= ledger.dropped == ledger.received
+
+
+def test_drop_of_the_own_queue_is_had_again(tmp_path: Path) -> None:
+    bus = LocalBus(ManualClock())
+    ear, sender = Ear(bus), Sender(bus)
+
+    def burst() -> None:
+        for _ in range(recorder.ring.capacity + 500):
+            sender.send(keys.GNSS_FIX, GnssFix())
+
+    recorder = node(bus, tmp_path, Script(lambda: sender.send(keys.GNSS_FIX, GnssFix()), burst))
+    recorder.run()
+    assert recorder.ring.dropped[FIX] > 0
+    assert fixes(tmp_path) == list(range(1, recorder.ring.capacity + 502))
+    assert ear.heard(keys.LOSS.at("recorder")) == []
+    assert recorder.losses.total == 0
+    (ledger,) = recorder.ledgers()
+    assert ledger.balanced
+
+
+def test_gap_that_no_publisher_can_fill_is_lost_and_stands_in_the_record(tmp_path: Path) -> None:
+    bus = LocalBus(ManualClock())
+    sender = Sender(bus)
+    recorder = node(
+        bus,
+        tmp_path,
+        Script(
+            lambda: sender.send(keys.GNSS_FIX, GnssFix()),
+            lambda: sender.send(keys.GNSS_FIX, GnssFix(), skip=4),
+        ),
+    )
+    recorder.run()
+    assert fixes(tmp_path) == [1, 6]
+    assert recorder.losses.total == 4
+    with open_record(tmp_path) as record:
+        topic = keys.LOSS.at("recorder").on(VEHICLE)
+        losses = [record.decode(entry) for entry in record.messages(topic.__eq__)]
+    assert [(loss.key, loss.count, loss.cause) for loss in losses] == [(FIX, 4, Loss.BUS)]
+
+
+@pytest.mark.parametrize("data", [b"\xff\xff\xff", ResendAnswer(session=5).SerializeToString()])
+def test_answer_that_nobody_understands_is_left_out(tmp_path: Path, data: bytes) -> None:
+    bus = LocalBus(ManualClock())
+    ear = Ear(bus)
+    recorder = node(bus, tmp_path, Script())
+    recorder.ring.put("x", data)
+    recorder.run()
+    beats: list[NodeHealth] = ear.heard(keys.HEARTBEAT.at("recorder"))
+    assert {beat.faults for beat in beats} == {0}
