@@ -44,6 +44,8 @@ class Orphan:
         Takes one sentence for people.
     starts_successor : bool
         The router's part.
+    now_s : callable
+        Monotonic seconds.
     """
 
     def __init__(
@@ -52,13 +54,15 @@ class Orphan:
         stop: threading.Event,
         say: Callable[[str], None],
         starts_successor: bool = False,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._runtime_dir = runtime_dir
         self._stop = stop
         self._say = say
         self._starts_successor = starts_successor
+        self._now_s = now_s
         self._successor: subprocess.Popen[bytes] | None = None
-        self._tried_s = -AGAIN_S
+        self._tried_s = now_s() - AGAIN_S
 
     def watch(self) -> None:
         """Return when the node has to end, or was told to."""
@@ -77,9 +81,9 @@ class Orphan:
             if alone_s >= ORPHAN_S:
                 self._say(f"no supervisor for {ORPHAN_S:.0f} s; ending")
                 break
-            before_s = time.monotonic()
+            before_s = self._now_s()
             self._stop.wait(LOOK_S)
-            alone_s += min(time.monotonic() - before_s, LOOK_MAX_S)
+            alone_s += min(self._now_s() - before_s, LOOK_MAX_S)
         self._stop.set()
 
     def _may_go_on(self, known: Roster) -> bool:
@@ -100,7 +104,7 @@ class Orphan:
 
     def _start_successor(self) -> None:
         """Start it, unless somebody has taken the place, or the last try is not long ago."""
-        now_s = time.monotonic()
+        now_s = self._now_s()
         if now_s - self._tried_s < AGAIN_S:
             return
         self._tried_s = now_s
