@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import pytest
 from tramstream import keys, roster
 from tramstream.bus import ZenohBus
 from tramstream.cli.demo import configuration
-from tramstream.clock import VehicleClock
+from tramstream.clock import S, VehicleClock
 from tramstream.recorder.reader import open_record
 from tramstream.roster import Proc, Roster
 
@@ -553,3 +554,38 @@ def test_captured_bytes_run_through_the_whole_vehicle(data_dir: Path, folder: Pa
             for wheel in record.decode(entry).wheels
         ]
         assert 5.0 < min(wheels) < max(wheels) < 30.0
+
+
+@pytest.mark.study
+def test_no_healthy_node_is_taken_for_frozen_with_six_busy_processes_a_core(
+    running: Running, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Prints the longest pause between two heartbeats of each node, as they arrive at a listener."""
+    nodes = running.nodes()
+    arrivals: dict[str, list[int]] = {}
+    bus = ZenohBus.connect(folder / "run", VehicleClock.shared(folder / "run"))
+    busy = [
+        subprocess.Popen(["timeout", "60", sys.executable, "-c", "while True: pass"])
+        for _ in range(6 * (os.cpu_count() or 1))
+    ]
+    try:
+        bus.subscribe(
+            keys.HEARTBEAT.on("demo"),
+            lambda envelope: arrivals.setdefault(envelope.topic, []).append(envelope.arrival_ns),
+        )
+        for each in busy:
+            each.wait()
+    finally:
+        for each in busy:
+            each.kill()
+            each.wait()
+        bus.close()
+    with capsys.disabled():
+        for topic, at_ns in sorted(arrivals.items()):
+            longest_s = max(after - before for before, after in pairwise(at_ns)) / S
+            print(f"{topic}: {len(at_ns)} heartbeats, longest pause {longest_s:.2f} s")
+    assert {name: running.node(name) for name in NODES} == nodes
+    assert "no heartbeat" not in running.log()
+    assert len(arrivals) == len(NODES)
+    running.process.send_signal(signal.SIGINT)
+    assert running.process.wait(120) in (0, 3)  # a simulated line may have overrun

@@ -26,8 +26,8 @@ from tramstream.process import Forks, Running
 from tramstream.roster import Proc
 
 BACKOFF_FIRST_S = 0.2
-BACKOFF_ROUTER_S = 0.05
-"""Nobody hears anybody while the router is away."""
+BACKOFF_ROUTER_S = 0.0
+"""Nobody hears anybody while the router is away: the first time it comes back at once."""
 BACKOFF_MAX_S = 10.0
 START_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 10.0
@@ -255,7 +255,9 @@ class Supervisor:
         child.again_s = now_s + child.backoff_s
         how = "" if status is None else f" with status {status}"
         self._say(f"node {child.name} ended{how}; starting it again in {child.backoff_s:g} s")
-        child.backoff_s = min(2 * child.backoff_s, BACKOFF_MAX_S)
+        child.backoff_s = min(max(2 * child.backoff_s, BACKOFF_FIRST_S), BACKOFF_MAX_S)
+        if now_s >= child.again_s:
+            self._spawn(child)
 
     def _break_silence(self, silence: Silence) -> None:
         text = f"node {silence.name} has given no heartbeat for {silence.limit_s:.0f} s"
