@@ -560,7 +560,7 @@ def test_captured_bytes_run_through_the_whole_vehicle(data_dir: Path, folder: Pa
 def test_no_healthy_node_is_taken_for_frozen_with_six_busy_processes_a_core(
     running: Running, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Prints the longest pause between two heartbeats of each node, as they arrive at a listener."""
+    """Prints the longest pause between two heartbeats of each node, as they arrive."""
     nodes = running.nodes()
     arrivals: dict[str, list[int]] = {}
     bus = ZenohBus.connect(folder / "run", VehicleClock.shared(folder / "run"))

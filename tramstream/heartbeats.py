@@ -11,8 +11,8 @@ Every node gives a heartbeat a second. One that has given none for `SAID_S` is s
   repairs its last file then.
 
 The limits: with six busy processes a core (nice 0) for a minute the longest pause between two
-heartbeats of a healthy node was 1.5 s of 1 s (docs/architecture.md, "Processes that watch each
-other"), so five missed ones in a row are no matter of load.
+heartbeats of a healthy node was 1.7 s (docs/architecture.md, "Processes that watch each other"), so
+five missed ones in a row are no matter of load.
 """
 
 from __future__ import annotations
