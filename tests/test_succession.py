@@ -28,10 +28,13 @@ class Look(threading.Event):
     def __init__(self) -> None:
         super().__init__()
         self.now_s = 0.0
+        self.looks = 0
         self.script: list[tuple[float, Callable[[], None]]] = []
 
     def wait(self, timeout: float | None = None) -> bool:
         self.now_s += timeout or 0.0
+        self.looks += 1
+        assert self.looks < 500, "the node never ends"
         while self.script and self.script[0][0] <= self.now_s:
             self.script.pop(0)[1]()
         return self.is_set()
