@@ -35,7 +35,8 @@ def run(
     from tramstream.supervisor import Plan
 
     vehicle = load(config)
-    command = [sys.executable, "-m", "tramstream.cli.main", "run", str(config.absolute())]
+    # -P: what lies in the folder where somebody stood is no part of the program.
+    command = [sys.executable, "-P", "-m", "tramstream.cli.main", "run", str(config.absolute())]
     options = [*(["--separate"] if separate else []), "--duration-s", REST]
     plan = Plan(vehicle, config, separate, successor=(*command, *options))
     stop = stop_on_signals()

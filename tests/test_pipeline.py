@@ -22,13 +22,15 @@ from tramstream import keys, roster
 from tramstream.bus import ZenohBus
 from tramstream.cli.demo import configuration
 from tramstream.clock import S, VehicleClock
+from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.reader import open_record
 from tramstream.roster import Proc, Roster
 
 pytestmark = pytest.mark.live
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-DEADLINE_S = 60.0
+HANG_S = 900.0
+"""A guard against waiting for ever, not a verdict: a busy machine is slow, not wrong."""
 NODES = ("router", "recorder", "simulators", "processors", "gnss", "imu", "odometer")
 PROGRAM = (sys.executable, "-m", "tramstream.cli.main")
 
@@ -39,7 +41,7 @@ def tramstream(*arguments: str, status: int = 0, **options: Any) -> str:
         [*PROGRAM, *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANG_S,
         check=False,
         **options,
     )
@@ -49,13 +51,13 @@ def tramstream(*arguments: str, status: int = 0, **options: Any) -> str:
 
 def wait_for(condition: Callable[[], Any], what: str) -> Any:
     """Poll until the condition holds; fail by name after the deadline."""
-    end_s = time.monotonic() + DEADLINE_S
+    end_s = time.monotonic() + HANG_S
     while time.monotonic() < end_s:
         result = condition()
         if result:
             return result
         time.sleep(0.05)
-    raise AssertionError(f"waited {DEADLINE_S:.0f} s for {what}")
+    raise AssertionError(f"waited {HANG_S:.0f} s for {what}")
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +174,10 @@ def test_replay_gives_every_message_to_a_recorder_that_listens(ride: Any, folder
         text = tramstream("replay", str(path), "--rate", "0", "--as", "copy", "--json",
                           "--onto-live", env=environment)  # fmt: skip
         recorder.send_signal(signal.SIGINT)
-        assert recorder.wait(30) == 0
+        assert recorder.wait(HANG_S) == 0
     finally:
         router.send_signal(signal.SIGINT)
-        router.wait(30)
+        router.wait(HANG_S)
     published = json.loads(text)["published"]
     with open_record(path) as first, open_record(folder / "out") as second:
         assert first.message_count == published
@@ -210,7 +212,7 @@ def test_replay_refuses_keys_of_a_live_vehicle(ride: Any, folder: Path) -> None:
         wait_for(refused, "a refusal")
     finally:
         first.send_signal(signal.SIGINT)
-        assert first.wait(30) == 0
+        assert first.wait(HANG_S) == 0
 
 
 class Running:
@@ -258,7 +260,7 @@ class Running:
 
     def end(self, status: int = 0) -> None:
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(60) == status, self.log()
+        assert self.process.wait(HANG_S) == status, self.log()
 
     def end_successor(self) -> None:
         """As its sentence says."""
@@ -451,7 +453,7 @@ def test_killed_router_is_back_and_all_nodes_with_it(running: Running, folder: P
     assert others == {name: pid for name, pid in nodes.items() if name != "router"}
     running.process.send_signal(signal.SIGINT)
     # What was on its way through the old router is lost, and the run says so.
-    status = running.process.wait(60)
+    status = running.process.wait(HANG_S)
     lost = sum(n for name, n in lost_by(folder).items() if name.startswith("recorder "))
     assert status == (3 if lost else 0), running.log()
     assert (f"{lost} messages are missing in the records" in running.log()) == bool(lost)
@@ -471,7 +473,7 @@ def test_frozen_node_is_said_killed_and_replaced(running: Running, name: str) ->
     others = {each: running.node(each) for each in NODES if each != name}
     assert others == {each: pid for each, pid in nodes.items() if each != name}
     running.process.send_signal(signal.SIGINT)
-    assert running.process.wait(60) in (0, 3)  # 3: the bus could not hold all of it
+    assert running.process.wait(HANG_S) in (0, 3)  # 3: the bus could not hold all of it
 
 
 def test_nodes_of_a_frozen_supervisor_go_on_and_are_not_killed_when_it_wakes(
@@ -510,6 +512,22 @@ def test_malformed_messages_of_a_stranger_end_nothing(running: Running, folder: 
     running.end()
 
 
+def test_run_whose_recorder_named_a_loss_ends_with_status_three(
+    running: Running, folder: Path
+) -> None:
+    running.nodes()
+    loss = Loss(consumer="recorder", key=keys.IMU_BATCH.on("demo"), count=5, cause=Loss.Cause.DISK)
+    bus = ZenohBus.connect(folder / "run", VehicleClock.shared(folder / "run"))
+    try:
+        key = keys.LOSS.at("recorder")
+        bus.publish(key.on("demo"), loss.SerializeToString(), key.encoding, 1)
+        wait_for(lambda: (known := running.roster()) and known.lost == 5, "the count")
+    finally:
+        bus.close()
+    running.end(status=3)
+    assert "5 messages are missing in the records of this run" in running.log()
+
+
 def test_second_run_in_the_same_folder_is_refused_and_the_first_goes_on(running: Running) -> None:
     nodes = running.nodes()
     done = subprocess.run(
@@ -527,7 +545,7 @@ def test_run_ends_in_order_when_its_terminal_is_closed(running: Running, folder:
     nodes = running.nodes()
     running.grow(50_000)
     running.process.send_signal(signal.SIGHUP)
-    assert running.process.wait(60) == 0, running.log()
+    assert running.process.wait(HANG_S) == 0, running.log()
     assert not any(Proc.of(pid) for pid in nodes.values())
     assert list((folder / "records").glob("*.active")) == []
 
@@ -588,4 +606,4 @@ def test_no_healthy_node_is_taken_for_frozen_with_six_busy_processes_a_core(
     assert "no heartbeat" not in running.log()
     assert len(arrivals) == len(NODES)
     running.process.send_signal(signal.SIGINT)
-    assert running.process.wait(120) in (0, 3)  # a simulated line may have overrun
+    assert running.process.wait(HANG_S) in (0, 3)  # a simulated line may have overrun

@@ -163,5 +163,5 @@ def test_successor_is_in_a_session_of_its_own(scene: Scene) -> None:
             threading.Event().wait(0.02)
     finally:
         end()
-    watching.join(60)
+    watching.join(900)
     assert not watching.is_alive()

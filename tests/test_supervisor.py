@@ -300,7 +300,7 @@ def test_living_nodes_are_taken_over_and_only_the_missing_are_started(
     assert "node imu ended; starting it again in 0.2 s" in scene.said
     scene.supervisor.stop_nodes(None)
     scene.supervisor.stop_router()
-    assert all(child.wait(60) == -signal.SIGTERM for name, child in sleepers.items()
+    assert all(child.wait(900) == -signal.SIGTERM for name, child in sleepers.items()
                if name != "imu")  # fmt: skip
     assert roster.read(scene.vehicle.runtime_dir) is None
 
@@ -314,7 +314,7 @@ def test_nodes_of_other_settings_or_of_a_run_that_was_ending_are_ended_not_taken
     left_behind(scene, sleepers, **fields)
     scene.begin()
     assert not scene.supervisor.took_over
-    assert all(child.wait(60) == -signal.SIGTERM for child in sleepers.values())
+    assert all(child.wait(900) == -signal.SIGTERM for child in sleepers.values())
     assert [name for name, _ in scene.started][:2] == ["router", "recorder"]
     assert set(scene.processes) == set(registry.node_names(scene.vehicle))
 
@@ -332,7 +332,7 @@ def test_frozen_router_that_was_taken_over_is_replaced_before_anything_else(
         return scene.bus
 
     assert scene.supervisor.join(connect) is scene.bus
-    assert sleepers["router"].wait(60) == -signal.SIGKILL
+    assert sleepers["router"].wait(900) == -signal.SIGKILL
     assert len(scene.starts_of("router")) == 1
     assert "node router does not answer; killing it" in scene.said
 

@@ -136,11 +136,17 @@ class Supervisor:
         self.took_over = True
         self._roster = msgspec.structs.replace(self._roster, lost=before.lost)
         for child in self.children:
-            if child.name in living:
-                child.running = Running(living[child.name].pid)
-                child.started_s = self._now_s()
-                child.starts = 1
-                self._heartbeats.started(child.name, heard=True)
+            process = living.get(child.name)
+            if process is None:
+                continue
+            running = Running(process.pid)
+            if not process.alive:  # looked at only now that nobody else can get its number
+                running.close()
+                continue
+            child.running = running
+            child.started_s = self._now_s()
+            child.starts = 1
+            self._heartbeats.started(child.name, heard=True)
 
     def _end_strangers(self, living: dict[str, Proc]) -> None:
         """Nodes of other settings, or of a supervisor that was ending them, are not taken over."""

@@ -51,7 +51,7 @@ def test_program_ends_with_its_status_and_all_it_printed(folder: Path, callback:
         [sys.executable, "-c", PROGRAM, str(folder), callback],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
         check=False,
     )
     assert done.returncode == 3, done.stderr
