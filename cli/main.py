@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from tramstream import __version__
+from tramstream import __version__, zenoh_threads
 from tramstream.errors import TramstreamError
 from tramstream.shown import shown
 
@@ -101,8 +101,7 @@ def leave(status: int) -> NoReturn:
     SystemExit
         With `status`.
     """
-    bus = sys.modules.get("tramstream.bus")  # most verbs need none
-    if bus is not None and not bus.callbacks_ended(LEAVE_S):
+    if not zenoh_threads.ended(LEAVE_S):
         with suppress(OSError):
             sys.stdout.flush()
             sys.stderr.flush()

@@ -14,7 +14,6 @@ import os
 import socket
 import struct
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
@@ -30,9 +29,6 @@ HEADER = struct.Struct("<QQI")
 """Attachment of every put: publish_ns, sequence, session."""
 CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
-CLOSER = "zenoh-close"
-CALLBACK_THREAD = "pyo3-closure"
-"""Part of the name of a thread that zenoh's binding starts for each callback."""
 ROUTER_POLL_S = 0.1
 CONNECT_TIMEOUT_MS = 2000
 QUEUE_BATCHES = 16
@@ -314,30 +310,12 @@ class ZenohBus(Bus):
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
     def close(self) -> None:
-        closer = threading.Thread(target=self._session.close, name=CLOSER, daemon=True)
+        closer = threading.Thread(target=self._session.close, name="zenoh-close", daemon=True)
         closer.start()
         closer.join(CLOSE_TIMEOUT_S)
         if self._router_lock is not None:
             os.close(self._router_lock)
             self._router_lock = None
-
-
-def callbacks_ended(timeout_s: float) -> bool:
-    """Whether all threads on which zenoh calls us have ended; waits for them for so long.
-
-    They end on their own, some time after their session is closed. Python takes away one that
-    wakes while the interpreter ends, and zenoh's code cannot bear that: the process is aborted
-    ("FATAL: exception not rethrown"), or hangs.
-    """
-    end_s = time.monotonic() + timeout_s
-    ours = [thread for thread in threading.enumerate() if _is_zenohs(thread)]
-    for thread in ours:
-        thread.join(max(0.0, end_s - time.monotonic()))
-    return not any(thread.is_alive() for thread in ours)
-
-
-def _is_zenohs(thread: threading.Thread) -> bool:
-    return thread.name == CLOSER or CALLBACK_THREAD in thread.name
 
 
 def socket_path(runtime_dir: Path) -> Path:
