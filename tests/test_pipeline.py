@@ -391,8 +391,8 @@ def test_killed_run_comes_back_by_itself_and_its_nodes_have_gone_on(
     running.grow(100_000)
     running.end_successor()
     assert not any(Proc.of(pid) for pid in nodes.values())
-    assert len(list((folder / "records").iterdir())) == 1
-    assert list((folder / "records").glob("*.mcap"))
+    assert list((folder / "records").glob("*.active")) == []
+    assert len(list((folder / "records").glob("*.mcap"))) == 1
     assert lost_by(folder) == {}
     assert not (folder / "run" / roster.FILE).exists()
 
