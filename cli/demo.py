@@ -40,6 +40,7 @@ def demo(
     from tramstream.cli.session import say, stop_on_signals
     from tramstream.config import load
     from tramstream.errors import ConfigError, DamagedRecordError
+    from tramstream.supervisor import Plan
 
     target = out or Path(time.strftime("demo-%Y%m%dT%H%M%S.mcap"))
     if target.exists():
@@ -50,7 +51,7 @@ def demo(
     config = folder / "demo.toml"
     config.write_text(configuration(folder, seed))
     vehicle = load(config)
-    with fleet.running(vehicle, config, say, rate=rate) as run:
+    with fleet.running(Plan(vehicle, config, rate=rate), say) as run:
         _watch(run, stop, duration_s, headless or json_)
     parts = sorted((folder / "records").glob("*.mcap*"))
     if len(parts) != 1 or parts[0].suffix != ".mcap":

@@ -1,38 +1,54 @@
-"""A vehicle's nodes as a context: router, supervisor, and what its nodes have to say."""
+"""A vehicle's nodes as a context: supervisor, bus, and what the nodes have to say."""
 
 from __future__ import annotations
 
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import contextmanager, suppress
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
-
-from tramstream import keys, machine_code
-from tramstream.bus import Bus, Envelope, ZenohBus
+from tramstream import machine_code
+from tramstream.bus import Bus, ZenohBus
+from tramstream.cli.voice import Voice
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
-from tramstream.proto.health_pb2 import NodeHealth
-from tramstream.ring import Ring
-from tramstream.supervisor import Child, RouterNode, Supervisor
+from tramstream.supervisor import Child, Plan, Supervisor
 
 WATCH_S = 0.1
+TRACE_AGAIN_S = 10.0
+"""A fault that repeats is told so often."""
 
 
 class Fleet:
     """The running nodes of one vehicle."""
 
-    def __init__(self, bus: Bus, supervisor: Supervisor, vehicle: Vehicle, voice: _Voice) -> None:
+    def __init__(
+        self, bus: Bus, supervisor: Supervisor, voice: Voice, say: Callable[[str], None]
+    ) -> None:
         self.bus = bus
-        self.vehicle = vehicle
         self._supervisor = supervisor
         self._voice = voice
+        self._say = say
+        self._fault_s = -TRACE_AGAIN_S
+
+    @property
+    def vehicle(self) -> Vehicle:
+        return self._supervisor.plan.vehicle
 
     @property
     def children(self) -> list[Child]:
         return self._supervisor.children
+
+    @property
+    def took_over(self) -> bool:
+        """Whether the nodes had been started by a supervisor that has vanished."""
+        return self._supervisor.took_over
+
+    @property
+    def lost(self) -> int:
+        """Messages that are missing in the records of this run; final when the nodes have ended."""
+        return self._supervisor.lost
 
     def until(
         self,
@@ -41,78 +57,56 @@ class Fleet:
         each: Callable[[], None] | None = None,
     ) -> None:
         """Keep the nodes running until `stop` or for `duration_s` of the vehicle clock."""
-        end_s = time.monotonic() + duration_s / self.bus.clock.rate if duration_s else float("inf")
-        while not stop.is_set() and time.monotonic() < end_s:
-            self._supervisor.watch()
-            self._voice.speak()
-            if each is not None:
-                each()
+        end_s = time.monotonic() + duration_s / self.bus.clock.rate if duration_s else 0.0
+        self._supervisor.end_at(end_s)
+        works = [self._voice.speak, self._supervisor.watch, *([each] if each is not None else [])]
+        while not stop.is_set() and not 0.0 < end_s <= time.monotonic():
+            for work in works:
+                try:
+                    work()
+                except Exception as error:  # noqa: BLE001  an orderly stop alone ends a vehicle
+                    self._tell_fault(error)
             stop.wait(WATCH_S)
 
-
-class _Voice:
-    """Tells people what nodes log and when their state changes; each sentence once."""
-
-    def __init__(self, bus: Bus, vehicle: str, say: Callable[[str], None]) -> None:
-        self._say = say
-        self._texts: dict[str, str] = {}
-        self._ring: Ring[Envelope] = Ring(1000)
-        self._log_type = keys.LOG.encoding
-        for key in (keys.LOG, keys.HEARTBEAT):
-            bus.subscribe(key.on(vehicle), lambda envelope: self._ring.put("", envelope))
-
-    def speak(self) -> None:
-        """Say what has come."""
-        while (envelope := self._ring.get(0.0)) is not None:
-            if envelope.encoding == self._log_type:
-                self._log(Log.FromString(envelope.payload))
-            else:
-                self._health(NodeHealth.FromString(envelope.payload))
-
-    def _log(self, message: Log) -> None:
-        self._say(f"{message.name}: {message.message}")
-
-    def _health(self, message: NodeHealth) -> None:
-        before = self._texts.get(message.node, "")
-        # A sentence that counts seconds is the same sentence.
-        kind = "".join(char for char in message.text if not char.isdigit())
-        self._texts[message.node] = kind
-        if kind != before:
-            self._say(f"{message.node}: {message.text or 'all is well again'}")
+    def _tell_fault(self, error: Exception) -> None:
+        if time.monotonic() - self._fault_s >= TRACE_AGAIN_S:
+            self._fault_s = time.monotonic()
+            self._say("".join(traceback.format_exception(error)).rstrip())
 
 
 @contextmanager
-def running(
-    vehicle: Vehicle,
-    config_path: Path,
-    say: Callable[[str], None],
-    separate: bool = False,
-    rate: float = 1.0,
-) -> Iterator[Fleet]:
-    """Start router and nodes; end them in order when the block is left.
+def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
+    """Start router and nodes, or take over those that live; end them in order at the end.
 
     Raises
     ------
     BusError
-        If another router is there already.
+        If another vehicle, or another router, is there already.
     NodeError
         With a node's own exit status if it ends at its start.
     """
-    machine_code.ensure(say)
-    clock = VehicleClock.shared(vehicle.runtime_dir, rate)
-    bus = ZenohBus.route(vehicle.runtime_dir, clock)
-    end_router = threading.Event()
-    router = RouterNode(vehicle.vehicle, bus, end_router)
-    thread = threading.Thread(target=router.run, name="router", daemon=True)
-    supervisor = Supervisor(vehicle, config_path, bus, say, separate)
-    voice = _Voice(bus, vehicle.vehicle, say)
-    thread.start()
+
+    def safe_say(text: str) -> None:
+        with suppress(OSError):  # the terminal is closed; what nodes say is in the record
+            say(text)
+
+    runtime_dir = plan.vehicle.runtime_dir
+    clock = VehicleClock.shared(runtime_dir, plan.rate)
+    supervisor = Supervisor(plan, safe_say)
+    supervisor.claim()
+    bus: Bus | None = None
+    voice: Voice | None = None
     try:
-        supervisor.start()
-        yield Fleet(bus, supervisor, vehicle, voice)
+        if not supervisor.took_over:
+            machine_code.ensure(safe_say)
+        bus = supervisor.join(lambda: ZenohBus.connect(runtime_dir, clock))
+        voice = Voice(bus, plan.vehicle.vehicle, safe_say, supervisor)
+        supervisor.start(bus, voice.speak)
+        yield Fleet(bus, supervisor, voice, safe_say)
     finally:
-        supervisor.stop()
-        voice.speak()
-        end_router.set()
-        thread.join(2.0)
-        bus.close()
+        try:
+            supervisor.stop_nodes(bus, voice.speak if voice is not None else lambda: None)
+            if bus is not None:
+                bus.close()
+        finally:
+            supervisor.stop_router()

@@ -7,16 +7,19 @@ A verb's module imports nothing heavy; what it needs it imports inside. Errors o
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 
-from tramstream import __version__
+from tramstream import __version__, zenoh_threads
 from tramstream.errors import TramstreamError
 from tramstream.shown import shown
 
+LEAVE_S = 1.0
 INTERRUPTED = 130
 """What a shell reports for a program that Ctrl-C ended."""
 
@@ -79,13 +82,31 @@ def main() -> None:
         make_app(sys.argv[1] if len(sys.argv) > 1 else "")()
     except TramstreamError as error:
         print(shown(f"tramstream: {error}"), file=sys.stderr)
-        sys.exit(error.exit_status)
+        leave(error.exit_status)
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        leave(INTERRUPTED)
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):
-            sys.exit(0)  # the reader of our output has gone: `tramstream echo … | head`
+            leave(0)  # the reader of our output has gone: `tramstream echo … | head`
+        if end.code is None or isinstance(end.code, int):
+            leave(end.code or 0)
         raise
+
+
+def leave(status: int) -> NoReturn:
+    """End the program once the bus' threads have ended; without taking it down if one stays.
+
+    Raises
+    ------
+    SystemExit
+        With `status`.
+    """
+    if not zenoh_threads.ended(LEAVE_S):
+        with suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 if __name__ == "__main__":

@@ -16,22 +16,10 @@ def node(
 ) -> None:
     """Run one node."""
     from tramstream import machine_code, registry
-    from tramstream.bus import ZenohBus
     from tramstream.cli.session import say, stop_on_signals
-    from tramstream.clock import VehicleClock
-    from tramstream.config import load
     from tramstream.process import run_node
-    from tramstream.supervisor import RouterNode
 
     stop = stop_on_signals()
     if name in (registry.PROCESSORS, *registry.names("processors")):
         machine_code.ensure(say)
-    if name != "router":
-        run_node(name, config, stop)
-        return
-    vehicle = load(config)
-    bus = ZenohBus.route(vehicle.runtime_dir, VehicleClock.shared(vehicle.runtime_dir))
-    try:
-        RouterNode(vehicle.vehicle, bus, stop).run()
-    finally:
-        bus.close()
+    run_node(name, config, stop)

@@ -19,16 +19,43 @@ def run(
         float, typer.Option("--duration-s", help="End after so many seconds; 0 is never.")
     ] = 0.0,
 ) -> None:
-    """Run bridges, processors and recorder until Ctrl-C."""
+    """Run bridges, processors and recorder until Ctrl-C.
+
+    Killed, it comes back by itself and takes over its nodes, which go on meanwhile; it says then
+    how to end it. Ends with status 3 if messages are missing in the records.
+    """
+    import os
+    import sys
+
     from tramstream.cli import fleet
     from tramstream.cli.session import say, stop_on_signals
     from tramstream.config import load
+    from tramstream.errors import DamagedRecordError
+    from tramstream.roster import REST
+    from tramstream.supervisor import Plan
 
     vehicle = load(config)
+    # -P: what lies in the folder where somebody stood is no part of the program.
+    command = [sys.executable, "-P", "-m", "tramstream.cli.main", "run", str(config.absolute())]
+    options = [*(["--separate"] if separate else []), "--duration-s", REST]
+    plan = Plan(vehicle, config, separate, successor=(*command, *options))
     stop = stop_on_signals()
-    with fleet.running(vehicle, config, say, separate) as run_:
-        say(
-            f"vehicle {vehicle.vehicle}: {', '.join(child.name for child in run_.children)}; "
-            f"records in {vehicle.recorder.directory}; look with `tramstream top`"
-        )
+    with fleet.running(plan, say) as run_:
+        names = ", ".join(child.name for child in run_.children)
+        if run_.took_over:
+            say(
+                f"vehicle {vehicle.vehicle}: process {os.getpid()} has taken over {names}; "
+                f"`kill {os.getpid()}` ends it"
+            )
+        else:
+            say(
+                f"vehicle {vehicle.vehicle}: {names}; records in {vehicle.recorder.directory}; "
+                "look with `tramstream top`"
+            )
         run_.until(stop, duration_s)
+    if run_.lost:
+        raise DamagedRecordError(
+            f"{run_.lost} messages are missing in the records of this run in "
+            f"{vehicle.recorder.directory}; `tramstream info` says what is in them, "
+            "`tramstream report` which are missing"
+        )

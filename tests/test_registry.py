@@ -75,13 +75,13 @@ def test_fresh_processors_restore_what_fresh_ones_remember() -> None:
         assert all(ledger.balanced for ledger in other.ledgers())
 
 
-def test_configuration_chooses_the_nodes_and_the_recorder_comes_first() -> None:
+def test_configuration_chooses_the_nodes_and_router_and_recorder_come_first() -> None:
     assert registry.configured_bridges(VEHICLE) == ["gnss", "imu"]
     nodes = registry.node_names(VEHICLE)
-    assert nodes[0] == "recorder"
-    assert set(nodes) == {"recorder", "processors", "gnss", "imu"}
+    assert nodes[:2] == ["router", "recorder"]
+    assert set(nodes) == {"router", "recorder", "processors", "gnss", "imu"}
     apart = registry.node_names(VEHICLE, separate=True)
-    assert set(apart) == {"recorder", "gnss", "imu", *registry.names("processors")}
+    assert set(apart) == {"router", "recorder", "gnss", "imu", *registry.names("processors")}
     simulated = Vehicle(vehicle="t", simulators={"ride": Simulator(kind="ride", link="/tmp/x")})
     assert "simulators" in registry.node_names(simulated)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from tramstream import config
+from tramstream import config, router
 from tramstream.bus import Bus
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
@@ -58,10 +58,10 @@ def configured_bridges(vehicle: Vehicle) -> list[str]:
 
 
 def node_names(vehicle: Vehicle, separate: bool = False) -> list[str]:
-    """Nodes that `vehicle` needs, in the order in which they start."""
+    """Nodes that `vehicle` needs, in the order in which they start; they end in the reverse one."""
     processors = names("processors") if separate else [PROCESSORS]
     simulators = ["simulators"] if vehicle.simulators else []
-    return ["recorder", *simulators, *processors, *configured_bridges(vehicle)]
+    return [router.NAME, "recorder", *simulators, *processors, *configured_bridges(vehicle)]
 
 
 def check_node(name: str, vehicle: Vehicle) -> None:
@@ -72,19 +72,22 @@ def check_node(name: str, vehicle: Vehicle) -> None:
     ConfigError
         One sentence; it lists the nodes that there are.
     """
-    known = [PROCESSORS, *names("processors"), *names("bridges"), *names("nodes")]
+    parts = [*names("processors"), *names("bridges"), *names("nodes")]
+    known = [PROCESSORS, *parts, router.NAME]
     if name not in known:
-        raise ConfigError(f"no node is called {name!r}; there are: {', '.join(known)}, router")
+        raise ConfigError(f"no node is called {name!r}; there are: {', '.join(known)}")
     if name in names("bridges") and getattr(vehicle, name, None) is None:
         raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
 
 
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:
     """Build the node called `name`."""
-    # Not above: the supervisor needs names only, and a router with numpy takes 15 MB more.
+    check_node(name, vehicle)
+    if name == router.NAME:
+        return router.RouterNode(vehicle.vehicle, bus, stop)
+    # Not above: the supervisor and a router of its own need no numpy, which takes 15 MB.
     from tramstream.host import ProcessorNode
 
-    check_node(name, vehicle)
     if name in names("bridges"):
         bridge = load("bridges", name)(vehicle)
         port = load("ports", name)(vehicle, bus.clock)
