@@ -12,8 +12,8 @@ ASK_TIMEOUT_S = 1.0
 """A publisher that stands still answers nobody; the others wait no longer for it."""
 END_TIMEOUT_S = 2 * ASK_TIMEOUT_S
 
-_Question = tuple[int | None, bytes]
-"""Publisher's session (None: everybody) and encoded request."""
+_Question = tuple[int | None, bytes, Callable[[int], None] | None]
+"""Publisher's session (None: everybody), encoded request, who wants to know how many answered."""
 
 
 class Asker:
@@ -40,14 +40,19 @@ class Asker:
         with self._lock:
             return self._open > 0
 
-    def ask(self, session: int | None, request: bytes) -> None:
-        """Have a question put; comes back at once."""
+    def ask(
+        self, session: int | None, request: bytes, done: Callable[[int], None] | None = None
+    ) -> None:
+        """Have a question put; comes back at once.
+
+        `done` gets the number of answers, behind the last of them.
+        """
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="recorder-asks", daemon=True)
             self._thread.start()
         with self._lock:
             self._open += 1
-        self._questions.put((session, request))
+        self._questions.put((session, request, done))
 
     def close(self) -> None:
         """End after the questions that were asked."""
@@ -57,8 +62,12 @@ class Asker:
 
     def _run(self) -> None:
         while (question := self._questions.get()) is not None:
-            session, request = question
+            session, request, done = question
+            answers = 0
             for answer in self._bus.ask_again(request, session, ASK_TIMEOUT_S):
                 self._deliver(answer)
+                answers += 1
+            if done is not None:
+                done(answers)
             with self._lock:
                 self._open -= 1

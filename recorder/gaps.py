@@ -207,6 +207,10 @@ class GapBook(LossCounter):
         """How many wait for an answer."""
         return sum(len(stream.holes) for stream in self._open.values())
 
+    def holes_of(self, session: int) -> int:
+        """How many holes of one publisher wait for an answer."""
+        return sum(len(stream.holes) for stream in self._open.values() if stream.session == session)
+
     def requests(self, now_ns: int, at_once: bool = False) -> list[tuple[int, ResendRequest]]:
         """What is to be asked of which publisher now; `at_once` leaves out the pauses."""
         requests: dict[int, ResendRequest] = {}

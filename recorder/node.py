@@ -8,7 +8,8 @@ its predecessor ends.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -35,8 +36,30 @@ SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
 AGAIN_S = 0.2
 """The same after an answer that was full."""
+SILENT_MOST = 5
+"""Who ends, and so often in a row does not answer, is gone already."""
 LAST_ROUNDS = 20
 """Questions at the end, each with the answers to the one before."""
+
+
+@dataclass(slots=True)
+class Leaving:
+    """A publisher that waits to end: its session, and the call that lets it go."""
+
+    session: int
+    answer: Callable[[], None]
+    swept: bool = False
+    """Whether it has said that it holds nothing that is missing here."""
+    silent: int = 0
+    """Questions in a row that it did not answer."""
+
+
+@dataclass(slots=True)
+class Seen:
+    """How many answers a publisher that is leaving gave when it was asked for everything."""
+
+    leaving: Leaving
+    answers: int
 
 
 class RecorderNode(Node):
@@ -75,6 +98,7 @@ class RecorderNode(Node):
         self._asker = Asker(bus, self._answered)
         self._goes_on = goes_on
         self._deaf = False  # at the end: nothing comes off the bus, not even what we say ourselves
+        self._leaving: list[Leaving] = []
         self._answers = self._resent = self._told = self._sweep_ns = 0
         self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
@@ -93,6 +117,7 @@ class RecorderNode(Node):
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
+        self.bus.attend(keys.farewell(self.vehicle), self._farewell)
         if self._goes_on:
             self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
         self._sweep_ns = self.clock.now_ns() + int(SWEEP_S * S)
@@ -136,6 +161,7 @@ class RecorderNode(Node):
         if now_ns >= self._sweep_ns:
             self._sweep_ns = now_ns + int(SWEEP_S * S)
             self.sweep()
+        self._let_go()
         if not self._asker.busy:
             for session, request in self._gaps.requests(now_ns):
                 self._asker.ask(session, request.SerializeToString())
@@ -153,13 +179,58 @@ class RecorderNode(Node):
     def _answered(self, data: bytes) -> None:
         self.ring.put(NAME, data)
 
-    def handle_item(self, item: bytes) -> None:
+    # Who ends ------------------------------------------------------------------------------------
+    def _farewell(self, payload: bytes, answer: Callable[[], None]) -> None:
+        if len(payload) == 4:
+            self.ring.put(NAME, Leaving(int.from_bytes(payload, "little"), answer))
+        else:
+            answer()  # of no version of ours
+
+    def _see_off(self, leaving: Leaving) -> None:
+        """Ask a publisher that is about to end for all that has not come."""
+        expression = keys.full(self.vehicle, self._expression)
+        request = self._gaps.sweep(expression, self.clock.now_ns(), all_of_it=True)
+        request.always = True
+        self._asker.ask(
+            leaving.session,
+            request.SerializeToString(),
+            lambda answers: self.ring.put(NAME, Seen(leaving, answers)),
+        )
+
+    def _let_go(self) -> None:
+        """Answer publishers that have nothing left that is missing here."""
+        for leaving in [each for each in self._leaving if each.swept]:
+            if not self._gaps.holes_of(leaving.session):
+                self._leaving.remove(leaving)
+                leaving.answer()
+
+    def handle_item(self, item: bytes | Leaving | Seen) -> None:
+        """Work on what publishers say beside their messages."""
+        match item:
+            case Leaving():
+                self._leaving.append(item)
+                self._see_off(item)
+            case Seen(leaving, answers):
+                leaving.silent = 0 if answers else leaving.silent + 1
+                leaving.swept = leaving.swept or leaving.silent > SILENT_MOST
+                if leaving.swept:
+                    self._let_go()
+                else:
+                    self._see_off(leaving)
+            case _:
+                self._take_answer(item)
+
+    def _take_answer(self, item: bytes) -> None:
         """Record what a publisher sent once more, and name what it no longer has."""
         answer = decode(ResendAnswer, item, "an answer")
         if isinstance(answer, Undecodable):
             self.log(f"{answer}; left out")
             return
         self._answers += 1
+        if not answer.stretches:  # the answer to a publisher's farewell
+            for leaving in self._leaving:
+                leaving.swept = leaving.swept or leaving.session == answer.session
+            return
         if answer.more:
             self._sweep_ns = min(self._sweep_ns, self.clock.now_ns() + int(AGAIN_S * S))
         before = self._ledger.received
@@ -250,6 +321,11 @@ class RecorderNode(Node):
         if not self.recording.close():
             self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
         self._tell()
+
+    def take_leave(self) -> None:
+        """Nobody waits for the recorder, and those who wait for it need not any more."""
+        for leaving in self._leaving:
+            leaving.answer()
 
     def ledgers(self) -> list[Ledger]:
         return [self._ledger]

@@ -16,6 +16,8 @@ AHEAD_S = 0.002
 """Messages due within so little time go out at once: sleeping is no finer."""
 WAIT_S = 0.1
 """Longest sleep: how fast a pause or the end is noticed."""
+LEAVE_S = 30.0
+"""At the end a recorder gets so long to ask for what it missed; it is slower than `--rate 0`."""
 UNPACED_RATE_HZ = 20_000
 """`--rate 0`: a whole ride goes to a recorder without loss at it (tests/test_pipeline.py)."""
 
@@ -52,6 +54,7 @@ class Replay:
         """Publish until the end of the record, or of `stop`; `each` is called now and then."""
         while not stop.is_set():
             self._once(stop, each)
+            self.bus.take_leave(self.vehicle, LEAVE_S)
             if not self.loop:
                 return
             self.bus.renew_session()  # sequence numbers begin anew: nobody shall count a loss

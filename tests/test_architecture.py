@@ -245,7 +245,6 @@ OWN_BYTES = {
     "tramstream/place.py",
     "tramstream/resend.py",
     "tramstream/snapshots.py",
-    "cli/fleet.py",
 }
 """Decode what the same program encoded (memory, pipes, caches), or are the boundary themselves."""
 

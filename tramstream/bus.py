@@ -10,43 +10,31 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
 
 from tramstream import keys, tokens
 from tramstream.bus_settings import client_settings, router_settings
 from tramstream.clock import VehicleClock
+from tramstream.envelope import HEADER, Deliver, Envelope
 from tramstream.errors import BusError
 from tramstream.resend import History
 from tramstream.router_socket import lock_router, router_listens, socket_path
 from tramstream.subscription import Subscription
 
-HEADER = struct.Struct("<QQI")
-"""Attachment of every put: publish_ns, sequence, session."""
 CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
+LEAVE_S = 3.0
+"""A recorder that stands still does not hold up those who end for longer."""
 
 
-class Envelope(NamedTuple):
-    """One message as it came off the bus, still encoded."""
-
-    topic: str
-    payload: bytes
-    encoding: str
-    publish_ns: int
-    sequence: int
-    session: int
-    arrival_ns: int
-
-
-Deliver = Callable[[Envelope], None]
+__all__ = ["HEADER", "Bus", "Deliver", "Envelope", "LocalBus", "ZenohBus", "router_listens"]
 
 
 class Bus(ABC):
@@ -125,8 +113,16 @@ class Bus(ABC):
         """Answer queries for a key with bytes; None stays silent."""
 
     @abstractmethod
-    def ask(self, topic: str, timeout_s: float = 2.0) -> list[bytes]:
+    def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
         """Answers to a query on `topic`."""
+
+    @abstractmethod
+    def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
+        """Give `take` what queries on `topic` carry, and a call that answers it at any time."""
+
+    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
+        """Wait until the recorder of `vehicle`, if there is one, has all of this session."""
+        self.ask(keys.farewell(vehicle), timeout_s, self.session.to_bytes(4, "little"))
 
     @abstractmethod
     def ask_again(
@@ -149,6 +145,7 @@ class LocalBus(Bus):
         self._readers: list[tuple[str, Deliver]] = []
         self._announced: list[str] = []
         self._answers: list[tuple[str, Callable[[str], bytes | None]]] = []
+        self._attended: list[tuple[str, Callable[[bytes, Callable[[], None]], None]]] = []
 
     def _put(
         self, topic: str, payload: bytes, encoding: str, sequence: int, publish_ns: int
@@ -182,9 +179,15 @@ class LocalBus(Bus):
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         self._answers.append((expression, reply))
 
-    def ask(self, topic: str, timeout_s: float = 2.0) -> list[bytes]:
+    def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
+        for attended, take in self._attended:
+            if attended == topic:
+                take(payload, lambda: None)  # here nothing is under way
         answers = [reply(topic) for expr, reply in self._answers if keys.matches(expr, topic)]
         return [answer for answer in answers if answer is not None]
+
+    def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
+        self._attended.append((topic, take))
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0
@@ -337,9 +340,23 @@ class ZenohBus(Bus):
 
         self._held.append(self._session.declare_queryable(expression, callback))
 
-    def ask(self, topic: str, timeout_s: float = 2.0) -> list[bytes]:
-        replies = self._session.get(topic, timeout=timeout_s)
-        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+    def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
+        try:
+            replies = self._session.get(topic, payload=payload, timeout=timeout_s)
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+        except zenoh.ZError:  # closed meanwhile: nobody answers
+            return []
+
+    def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
+        def callback(query: Any) -> None:
+            def answer() -> None:
+                with query:
+                    query.reply(query.key_expr, b"")
+
+            asked = query.payload
+            take(asked.to_bytes() if asked is not None else b"", answer)
+
+        self._held.append(self._session.declare_queryable(topic, callback))
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0

@@ -43,7 +43,7 @@ def router_settings(path: Path) -> dict[str, Any]:
 
 def client_settings(path: Path) -> dict[str, Any]:
     """Of a client of that router; it connects again by itself."""
-    retry = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
+    retry = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
     return {
         **_settings("client", WAIT_FOR_ROUTER_US),
         "listen": {"endpoints": []},

@@ -198,6 +198,11 @@ def resend(session: int | None = None) -> str:
     return f"{ROOT}/resend/{ANY_SOURCE if session is None else f'{session:08x}'}"
 
 
+def farewell(vehicle: str) -> str:
+    """Where a publisher that is about to end waits until the recorder has all of it."""
+    return f"{ROOT}/{vehicle}/health/recorder/farewell"
+
+
 def find(path: str) -> Key | None:
     """The key at `path` (`layer/source/quantity`), or None if nobody defined it."""
     key = _BY_PATH.get(path)

@@ -102,6 +102,10 @@ class Node(ABC):
     def finish(self) -> None:  # noqa: B027
         """Right after the last item, while the bus is still open."""
 
+    def take_leave(self) -> None:
+        """Right before the end: the recorder shall have the last word of everybody."""
+        self.bus.take_leave(self.vehicle)
+
     def ledgers(self) -> list[Ledger]:
         """Ledgers of the stages inside."""
         return []
@@ -136,6 +140,7 @@ class Node(ABC):
         finally:
             self.finish()
             self.heartbeat()
+            self.take_leave()
 
     def drain(self) -> None:
         """Work on what is queued."""

@@ -98,7 +98,7 @@ class History:
     def keep(
         self, topic: str, payload: bytes, encoding: str, sequence: int, publish_ns: int
     ) -> None:
-        """Add what is being published; takes half a microsecond."""
+        """Add what is being published."""
         with self._lock:
             known = self._topics.get(topic)
             if known is None:
@@ -154,7 +154,7 @@ class History:
             if resent.messages or not request.expression:
                 answer.stretches.append(resent)
                 room -= size
-        return answer.SerializeToString() if answer.stretches else None
+        return answer.SerializeToString() if answer.stretches or request.always else None
 
     def _wanted(self, request: ResendRequest) -> Iterator[ResendStretch]:
         """Stretches of the request that are about this session."""

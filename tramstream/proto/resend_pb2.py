@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dtramstream/proto/resend.proto\x12\ntramstream\"d\n\rResendStretch\x12\r\n\x05topic\x18\x01 \x01(\t\x12\x0f\n\x07session\x18\x02 \x01(\x07\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x03 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x04 \x01(\x06\"\x86\x01\n\rResendRequest\x12,\n\tstretches\x18\x01 \x03(\x0b\x32\x19.tramstream.ResendStretch\x12\x12\n\nexpression\x18\x02 \x01(\t\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x03 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x04 \x01(\x06\"X\n\rResentMessage\x12\x12\n\npublish_ns\x18\x01 \x01(\x06\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12\x10\n\x08\x65ncoding\x18\x03 \x01(\t\x12\x0f\n\x07payload\x18\x04 \x01(\x0c\"\xd9\x01\n\rResentStretch\x12\r\n\x05topic\x18\x01 \x01(\t\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x02 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x03 \x01(\x06\x12\x1b\n\x0e\x61\x66ter_sequence\x18\x04 \x01(\x04H\x00\x88\x01\x01\x12\x19\n\x11newest_publish_ns\x18\x05 \x01(\x06\x12\x0c\n\x04more\x18\x06 \x01(\x08\x12+\n\x08messages\x18\x07 \x03(\x0b\x32\x19.tramstream.ResentMessageB\x11\n\x0f_after_sequence\"[\n\x0cResendAnswer\x12\x0f\n\x07session\x18\x01 \x01(\x07\x12,\n\tstretches\x18\x02 \x03(\x0b\x32\x19.tramstream.ResentStretch\x12\x0c\n\x04more\x18\x03 \x01(\x08\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dtramstream/proto/resend.proto\x12\ntramstream\"d\n\rResendStretch\x12\r\n\x05topic\x18\x01 \x01(\t\x12\x0f\n\x07session\x18\x02 \x01(\x07\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x03 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x04 \x01(\x06\"\x96\x01\n\rResendRequest\x12,\n\tstretches\x18\x01 \x03(\x0b\x32\x19.tramstream.ResendStretch\x12\x12\n\nexpression\x18\x02 \x01(\t\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x03 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x04 \x01(\x06\x12\x0e\n\x06\x61lways\x18\x05 \x01(\x08\"X\n\rResentMessage\x12\x12\n\npublish_ns\x18\x01 \x01(\x06\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12\x10\n\x08\x65ncoding\x18\x03 \x01(\t\x12\x0f\n\x07payload\x18\x04 \x01(\x0c\"\xd9\x01\n\rResentStretch\x12\r\n\x05topic\x18\x01 \x01(\t\x12\x18\n\x10\x61\x66ter_publish_ns\x18\x02 \x01(\x06\x12\x19\n\x11\x62\x65\x66ore_publish_ns\x18\x03 \x01(\x06\x12\x1b\n\x0e\x61\x66ter_sequence\x18\x04 \x01(\x04H\x00\x88\x01\x01\x12\x19\n\x11newest_publish_ns\x18\x05 \x01(\x06\x12\x0c\n\x04more\x18\x06 \x01(\x08\x12+\n\x08messages\x18\x07 \x03(\x0b\x32\x19.tramstream.ResentMessageB\x11\n\x0f_after_sequence\"[\n\x0cResendAnswer\x12\x0f\n\x07session\x18\x01 \x01(\x07\x12,\n\tstretches\x18\x02 \x03(\x0b\x32\x19.tramstream.ResentStretch\x12\x0c\n\x04more\x18\x03 \x01(\x08\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,11 +34,11 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_RESENDSTRETCH']._serialized_start=45
   _globals['_RESENDSTRETCH']._serialized_end=145
   _globals['_RESENDREQUEST']._serialized_start=148
-  _globals['_RESENDREQUEST']._serialized_end=282
-  _globals['_RESENTMESSAGE']._serialized_start=284
-  _globals['_RESENTMESSAGE']._serialized_end=372
-  _globals['_RESENTSTRETCH']._serialized_start=375
-  _globals['_RESENTSTRETCH']._serialized_end=592
-  _globals['_RESENDANSWER']._serialized_start=594
-  _globals['_RESENDANSWER']._serialized_end=685
+  _globals['_RESENDREQUEST']._serialized_end=298
+  _globals['_RESENTMESSAGE']._serialized_start=300
+  _globals['_RESENTMESSAGE']._serialized_end=388
+  _globals['_RESENTSTRETCH']._serialized_start=391
+  _globals['_RESENTSTRETCH']._serialized_end=608
+  _globals['_RESENDANSWER']._serialized_start=610
+  _globals['_RESENDANSWER']._serialized_end=701
 # @@protoc_insertion_point(module_scope)

@@ -19,16 +19,18 @@ class ResendStretch(_message.Message):
     def __init__(self, topic: _Optional[str] = ..., session: _Optional[int] = ..., after_publish_ns: _Optional[int] = ..., before_publish_ns: _Optional[int] = ...) -> None: ...
 
 class ResendRequest(_message.Message):
-    __slots__ = ("stretches", "expression", "after_publish_ns", "before_publish_ns")
+    __slots__ = ("stretches", "expression", "after_publish_ns", "before_publish_ns", "always")
     STRETCHES_FIELD_NUMBER: _ClassVar[int]
     EXPRESSION_FIELD_NUMBER: _ClassVar[int]
     AFTER_PUBLISH_NS_FIELD_NUMBER: _ClassVar[int]
     BEFORE_PUBLISH_NS_FIELD_NUMBER: _ClassVar[int]
+    ALWAYS_FIELD_NUMBER: _ClassVar[int]
     stretches: _containers.RepeatedCompositeFieldContainer[ResendStretch]
     expression: str
     after_publish_ns: int
     before_publish_ns: int
-    def __init__(self, stretches: _Optional[_Iterable[_Union[ResendStretch, _Mapping]]] = ..., expression: _Optional[str] = ..., after_publish_ns: _Optional[int] = ..., before_publish_ns: _Optional[int] = ...) -> None: ...
+    always: bool
+    def __init__(self, stretches: _Optional[_Iterable[_Union[ResendStretch, _Mapping]]] = ..., expression: _Optional[str] = ..., after_publish_ns: _Optional[int] = ..., before_publish_ns: _Optional[int] = ..., always: _Optional[bool] = ...) -> None: ...
 
 class ResentMessage(_message.Message):
     __slots__ = ("publish_ns", "sequence", "encoding", "payload")
