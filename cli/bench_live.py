@@ -216,7 +216,7 @@ class _Usage:
         """Take the second reading."""
         elapsed_s = time.monotonic() - self._begin_s
         for pid in _tree(self._root):
-            role = "router" if pid == self._root else _role(pid)
+            role = "supervisor" if pid == self._root else _role(pid)
             used_s = _cpu_s(pid) - self._before.get(pid, 0.0)
             memory = _memory_mb(pid)
             for table, value in (

@@ -286,13 +286,30 @@ def test_process_that_stood_still_does_not_take_its_backlog_for_silence(world: W
 
 # Memory -------------------------------------------------------------------------------------------
 def test_snapshots_are_published_at_the_start_now_and_then_and_at_the_end(world: World) -> None:
-    world.run([Remembering()], world.fix, *[lambda: world.clock.advance(0.1)] * 120)
+    world.run([Remembering()], world.fix, *[lambda: world.clock.advance(0.1)] * 650)
     found = world.ear.heard(keys.SYNC_SNAPSHOT)
     assert [snapshot.start for snapshot in found] == [True, False, False, False]
     assert found[0].tick_sequence == 0
     assert found[-1].tick_sequence == world.ear.heard(keys.SYNC_TICK)[-1].sequence
     state = snapshots.unpack(found[-1].states[0].state)
     assert keys.GNSS_FIX.path in state["seen"]
+    seconds = [(each.stamp_ns - found[0].stamp_ns) / S for each in found]
+    assert seconds == pytest.approx([0.0, 30.0, 60.0, 65.0], abs=5.1)
+
+
+def test_memory_on_disk_is_never_older_than_five_seconds(world: World, tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    ages_s: list[float] = []
+
+    def look() -> None:
+        world.clock.advance(0.1)
+        found, _ = snapshots.load(path, world.clock.now_ns())
+        if found is not None:
+            ages_s.append((world.clock.now_ns() - found.stamp_ns) / S)
+
+    world.run([Remembering()], world.fix, *[look] * 300, path=path)
+    assert len(ages_s) == 300
+    assert 4.0 < max(ages_s) < 5.5
 
 
 def ride(world: World, begin: int, end: int) -> list[Any]:

@@ -32,6 +32,9 @@ TICK_S = 0.1
 RAW_S = 0.1
 """Raw bytes and frames are published this often: ten messages a second instead of two hundred."""
 SNAPSHOT_S = 5.0
+"""The memory on disk, from which a process that was killed goes on, is never older."""
+SNAPSHOT_RECORDED_S = 30.0
+"""In the record it is for what begins in the middle of a ride; 60 kB each."""
 DEVICE_HEALTH_S = 1.0
 LEAD_WINDOW_S = 2.0
 """Event time follows the newest input of at least this long."""
@@ -80,7 +83,7 @@ class ProcessorNode(Node):
         self._session = int.from_bytes(os.urandom(8), "little")
         self._snapshot_path = snapshot_path
         self._configuration = configuration
-        self._last_snapshot_ns = 0
+        self._last_snapshot_ns = self._recorded_snapshot_ns = 0
 
     # Setting up ----------------------------------------------------------------------------------
     def expressions(self) -> list[str]:
@@ -95,7 +98,7 @@ class ProcessorNode(Node):
                 self._by_topic[key.on(self.vehicle)] = key
         if self._ticks:
             self._restore()
-            self._publish_snapshot(start=True)
+            self._take_snapshot(start=True)
             self.every(TICK_S, self.tick)
         if self.readers:
             self.every(RAW_S, self.publish_raw)
@@ -112,7 +115,7 @@ class ProcessorNode(Node):
             self.device_health()
         if self._ticks:
             self.tick()
-            self._publish_snapshot()
+            self._take_snapshot(end=True)
 
     def _restore(self) -> None:
         """Go on from the snapshot file of a process that died a moment ago."""
@@ -218,10 +221,10 @@ class ProcessorNode(Node):
         self.send(sample)
         self.dispatch(sample)
         if self.clock.now_ns() - self._last_snapshot_ns > SNAPSHOT_S * S:
-            self._publish_snapshot()
+            self._take_snapshot()
 
-    def _publish_snapshot(self, start: bool = False) -> None:
-        self._last_snapshot_ns = self.clock.now_ns()
+    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
+        now_ns = self._last_snapshot_ns = self.clock.now_ns()
         message = Snapshot(
             session=self._session,
             start=start,
@@ -230,8 +233,11 @@ class ProcessorNode(Node):
             states=snapshots.take(self.processors),
             configuration=self._configuration,
         )
-        self.publish(keys.SYNC_SNAPSHOT, message)
+        if start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S:
+            self._recorded_snapshot_ns = now_ns
+            self.publish(keys.SYNC_SNAPSHOT, message)
         if self._snapshot_path is not None:
+            message.stamp_ns = now_ns
             try:
                 snapshots.save(self._snapshot_path, message)
             except OSError as error:

@@ -31,6 +31,8 @@ BACKOFF_ROUTER_S = 0.0
 BACKOFF_MAX_S = 10.0
 START_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 10.0
+STOP_RECORDER_S = 40.0
+"""The recorder asks publishers for what is missing, and a slow disk takes what waits in memory."""
 LAST_WORD_S = 2.0
 GOOD_RUN_S = 30.0
 """Who lived so long is started again at once."""
@@ -309,7 +311,8 @@ class Supervisor:
 
     def _end(self, name: str, running: Running) -> None:
         running.send(signal.SIGTERM)
-        if not running.ended(STOP_TIMEOUT_S):
+        recorder = self.children[1].name
+        if not running.ended(STOP_RECORDER_S if name == recorder else STOP_TIMEOUT_S):
             self._say(f"node {name} does not end; killing it")
             running.send(signal.SIGKILL)
             running.ended(STOP_TIMEOUT_S)
