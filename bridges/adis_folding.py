@@ -73,4 +73,5 @@ def _sums(frames: Frames) -> Frames:
 def _crcs(frames: Frames) -> Frames:
     """The CRC-32 of each frame, as its four bytes."""
     crcs = [zlib.crc32(frame[_CHECKED].tobytes()) for frame in frames]
-    return np.array(crcs, dtype="<u4").view(np.uint8).reshape(-1, 4)
+    octets: Frames = np.array(crcs, dtype="<u4").view(np.uint8).reshape(-1, 4)
+    return octets

@@ -19,7 +19,7 @@ from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 
-from tramstream import bus, keys, machine_code, private
+from tramstream import bus, keys, machine_code, private, router_socket
 from tramstream import network as networks
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Map, Recorder
@@ -132,7 +132,7 @@ def check_runtime_dir(folder: Path) -> list[Finding]:
     name = "runtime folder"
     cure = "set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder of your own"
     try:
-        bus.socket_path(folder)
+        router_socket.socket_path(folder)
     except TramstreamError as error:
         return [from_error(name, error)]
     there = _nearest(folder)

@@ -135,7 +135,8 @@ def _compressed(
 ) -> list[bytes]:
     """A zstd frame, block by block."""
     frame = compressor.compressobj(size=len(view))
-    data, begin = [], 0
+    data: list[bytes] = []
+    begin = 0
     for mark in marks:
         block = frame.compress(view[begin:mark])
         data.append(block + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
@@ -150,10 +151,12 @@ def _stored(view: memoryview, marks: list[int]) -> list[bytes]:
     Somebody who publishes megabytes of zeros would else make a record that no reader takes, for it
     looks like a bomb (`allowed_bytes`).
     """
-    data, begin = [], 0
+    data: list[bytes] = []
+    begin = 0
     lead = _ZSTD_HEAD + struct.pack("<I", len(view))
     for end in (*marks, len(view)):
-        pieces, lead = [lead], b""
+        pieces: list[bytes | memoryview] = [lead]
+        lead = b""
         while True:
             size = min(end - begin, _RAW_BLOCK_BYTES)
             final = begin + size == end
