@@ -67,7 +67,8 @@ def as_read(message: RawBytes) -> bytes:
 def _sums(frames: Frames) -> Frames:
     """The sensor's sum of each frame, as its two bytes."""
     sums = frames[:, SUMMED].sum(axis=1, dtype=np.uint32).astype(">u2")
-    return sums.view(np.uint8).reshape(-1, 2)
+    octets: Frames = sums.view(np.uint8).reshape(-1, 2)
+    return octets
 
 
 def _crcs(frames: Frames) -> Frames:
