@@ -162,10 +162,11 @@ class Recording:
         return losses
 
     def take_sentences(self) -> list[str]:
-        """What was done about space since the last call."""
+        """What was done about space and files since the last call."""
         sentences = []
-        while self.space.sentences:
-            sentences.append(self.space.sentences.popleft())
+        for said in (self.space.sentences, self._worker.sentences):
+            while said:
+                sentences.append(said.popleft())
         return sentences
 
     def close(self, timeout_s: float = 10.0) -> bool:

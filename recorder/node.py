@@ -19,6 +19,7 @@ from tramstream.boundary import Undecodable, decode
 from tramstream.bus import Bus, Envelope
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
+from tramstream.header import is_possible
 from tramstream.keys import Key
 from tramstream.node import Node
 from tramstream.processor import Ledger
@@ -233,9 +234,11 @@ class RecorderNode(Node):
             return
         if answer.more:
             self._sweep_ns = min(self._sweep_ns, self.clock.now_ns() + int(AGAIN_S * S))
-        before = self._ledger.received
+        before, now_ns = self._ledger.received, self.clock.now_ns()
         for stretch in answer.stretches:
             for message in stretch.messages:
+                if not is_possible(message.publish_ns, message.sequence, now_ns):
+                    continue  # a stranger's answer
                 again = Envelope(
                     stretch.topic,
                     message.payload,
@@ -316,8 +319,11 @@ class RecorderNode(Node):
         self.heartbeat()
         self.drain()
         self.settle_sources(at_end=True)
-        self._ask_for_the_last()
-        self.settle_sources(at_end=True)
+        try:
+            self._ask_for_the_last()
+            self.settle_sources(at_end=True)
+        except Exception as error:  # noqa: BLE001  told; the last part is finished whatever it was
+            self.fault(error)
         if not self.recording.close():
             self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
         self._tell()

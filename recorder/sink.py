@@ -78,6 +78,8 @@ class Worker:
 
     def __init__(self, threaded: bool = True, storage: Storage = DISK) -> None:
         self.storage = storage
+        self.sentences: deque[str] = deque()
+        """What jobs have done that people should know."""
         self._threaded = threaded
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -146,7 +148,8 @@ class Sink:
     finished or abandoned file a job does nothing. `error` is one sentence while the disk refuses,
     empty otherwise. A `durable` sink syncs at each flush, any does before it is finished. After a
     sync that failed the kernel forgets what it has not written, so a durable sink writes anew what
-    came since the last good one; `spoiled` tells the owner meanwhile to go on in another file.
+    came since the last good one; `spoiled` tells the owner meanwhile to go on in another file. A
+    file that somebody deletes or moves is written once more from what is still open, and said.
     """
 
     def __init__(self, final: Path, worker: Worker, durable: bool = True) -> None:
@@ -259,6 +262,8 @@ class Sink:
         if self._fd < 0:
             self._fd = self._storage.create(self.path)
             self._new = True
+        elif not self._storage.is_at(self._fd, self.path):
+            self._rescue()
         grown = self._write()
         if ending and self._reserved > self.written:
             self._storage.truncate(self._fd, self.written)
@@ -268,6 +273,23 @@ class Sink:
         if ending and self._stage is Stage.ENDING:
             self._storage.rename(self.path, self.final)
             self._go(Stage.ENDING, Stage.NAMED)
+
+    def _rescue(self) -> None:
+        """Have what was written in a new file: somebody deleted or moved the one that is open."""
+        fd = self._storage.create(self.path)
+        try:
+            self._storage.copy(self._fd, fd, self.written)
+            self._storage.sync(fd)
+            self._storage.sync_directory(self.path.parent)
+        except OSError:
+            self._storage.close(fd)
+            self._storage.unlink(self.path)
+            raise
+        self._storage.close(self._fd)
+        self._fd, self._reserved, self._new = fd, 0, False
+        self._worker.sentences.append(
+            f"{self.path.name}: was deleted or moved while it was written; it is whole again"
+        )
 
     def _write(self) -> bool:
         grown = False

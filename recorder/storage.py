@@ -17,6 +17,7 @@ MODE = 0o640
 _AT_FDCWD, _RENAME_NOREPLACE, _FALLOC_KEEP_SIZE = -100, 1, 1
 _WITHOUT = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP)
 """What a kernel or file system says that does not know a call."""
+_COPY_BYTES = 1 << 20
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -45,6 +46,22 @@ class Storage:
             number = ctypes.get_errno()
             if number not in (*_WITHOUT, errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
                 raise OSError(number, os.strerror(number))
+
+    def is_at(self, fd: int, path: Path) -> bool:
+        """Whether the open file still stands at `path`: nobody deleted, moved or replaced it."""
+        try:
+            there = os.stat(path, follow_symlinks=False)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return os.path.samestat(os.fstat(fd), there)
+
+    def copy(self, fd: int, target_fd: int, size: int) -> None:
+        """Write the first `size` bytes of an open file, which may have no name, to another."""
+        with open(f"/proc/self/fd/{fd}", "rb", buffering=0) as source:
+            offset = 0
+            while offset < size and (data := source.read(min(_COPY_BYTES, size - offset))):
+                offset += os.pwrite(target_fd, data, offset)
+                source.seek(offset)
 
     def truncate(self, fd: int, size: int) -> None:
         """Cut the file to `size` bytes, and give back what was reserved beyond."""

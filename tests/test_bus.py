@@ -22,8 +22,9 @@ import zenoh
 
 from tramstream import bus as bus_module
 from tramstream.bus import Bus, Envelope, LocalBus, ZenohBus, router_listens, socket_path
-from tramstream.clock import VehicleClock
+from tramstream.clock import S, VehicleClock
 from tramstream.errors import BusError
+from tramstream.header import HEADER, read_header
 from tramstream.proto.resend_pb2 import ResendAnswer, ResendRequest, ResendStretch
 
 DEADLINE_S = 10.0
@@ -271,7 +272,7 @@ ROUTER = """
 import sys
 from pathlib import Path
 from tramstream.bus import ZenohBus
-from tramstream.clock import VehicleClock
+from tramstream.clock import S, VehicleClock
 bus = ZenohBus.route(Path(sys.argv[1]), VehicleClock())
 print("up", flush=True)
 sys.stdin.read()
@@ -282,7 +283,7 @@ SUBSCRIBER = """
 import sys
 from pathlib import Path
 from tramstream.bus import ZenohBus
-from tramstream.clock import VehicleClock
+from tramstream.clock import S, VehicleClock
 bus = ZenohBus.connect(Path(sys.argv[1]), VehicleClock())
 bus.subscribe("a/*", lambda envelope: None)
 bus.announce("alive/other")
@@ -588,3 +589,23 @@ def test_local_subscription_that_publishes_itself_does_not_hang() -> None:
     bus.subscribe("b", lambda envelope: got.append(envelope.topic))
     bus.publish("a", b"", ENCODING, 1)
     assert got == ["b"]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"",
+        b"x" * 19,
+        b"x" * 21,
+        HEADER.pack((1 << 64) - 1, 1, 7),
+        HEADER.pack(1_000 * S + 2 * S, 1, 7),
+        HEADER.pack(1_000 * S, (1 << 64) - 1, 7),
+    ],
+)
+def test_header_that_cannot_be_ours_is_none(header: bytes) -> None:
+    """A time after the arrival would hold up all who go on behind it, for good."""
+    assert read_header(header, 1_000 * S) == (1_000 * S, 0, 0)
+
+
+def test_header_of_ours_is_read() -> None:
+    assert read_header(HEADER.pack(999 * S, 5, 7), 1_000 * S) == (999 * S, 5, 7)

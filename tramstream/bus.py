@@ -23,6 +23,7 @@ from tramstream.bus_settings import client_settings, router_settings
 from tramstream.clock import VehicleClock
 from tramstream.envelope import HEADER, Deliver, Envelope
 from tramstream.errors import BusError
+from tramstream.header import HEADER, read_header
 from tramstream.resend import History
 from tramstream.router_socket import lock_router, router_listens, socket_path
 from tramstream.subscription import Subscription
@@ -303,10 +304,7 @@ class ZenohBus(Bus):
                 return  # a stranger's delete; nothing of ours can be deleted
             attachment = sample.attachment
             header = attachment.to_bytes() if attachment is not None else b""
-            if len(header) == HEADER.size:
-                publish_ns, sequence, session = HEADER.unpack(header)
-            else:  # a stranger on our keys: no header, so nothing to count losses by
-                publish_ns, sequence, session = arrival_ns, 0, 0
+            publish_ns, sequence, session = read_header(header, arrival_ns)
             deliver(
                 Envelope(
                     str(sample.key_expr),

@@ -6,10 +6,11 @@ import threading
 from pathlib import Path
 
 import pytest
-from scripted import VEHICLE, Ear, ManualClock, Script, Sender
+from scripted import START_NS, VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import keys
 from tramstream.bus import LocalBus
+from tramstream.clock import S
 from tramstream.config import Recorder
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import Loss, NodeHealth
@@ -95,3 +96,38 @@ def test_answer_that_nobody_understands_is_left_out(tmp_path: Path, data: bytes)
     recorder.run()
     beats: list[NodeHealth] = ear.heard(keys.HEARTBEAT.at("recorder"))
     assert {beat.faults for beat in beats} == {0}
+
+
+def test_last_part_is_finished_whatever_goes_wrong_with_the_last_questions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus = LocalBus(ManualClock())
+    ear, sender = Ear(bus), Sender(bus)
+    recorder = node(bus, tmp_path, Script(lambda: sender.send(keys.GNSS_FIX, GnssFix())))
+
+    def broken() -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(recorder, "_ask_for_the_last", broken)
+    recorder.run()
+    assert [path.suffix for path in tmp_path.glob("*.mcap*")] == [".mcap"]
+    assert fixes(tmp_path) == [1]
+    assert ear.heard(keys.HEARTBEAT.at("recorder"))[-1].faults == 1
+
+
+@pytest.mark.parametrize(
+    ("publish_ns", "sequence"), [(START_NS, 1 << 63), ((1 << 64) - 1, 1), (START_NS + 5 * S, 1)]
+)
+def test_impossible_message_of_an_answer_is_left_out(
+    tmp_path: Path, publish_ns: int, sequence: int
+) -> None:
+    bus = LocalBus(ManualClock())
+    ear = Ear(bus)
+    recorder = node(bus, tmp_path, Script())
+    answer = ResendAnswer(session=5)
+    message = answer.stretches.add(topic=FIX).messages.add()
+    message.publish_ns, message.sequence = publish_ns, sequence
+    recorder.ring.put("x", answer.SerializeToString())
+    recorder.run()
+    assert ear.heard(keys.HEARTBEAT.at("recorder"))[-1].faults == 0
+    assert fixes(tmp_path) == []

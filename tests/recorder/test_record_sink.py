@@ -243,6 +243,41 @@ def test_nothing_is_put_behind_the_end(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
+@pytest.mark.parametrize("fate", ["deleted", "moved", "its folder deleted", "another's file"])
+def test_file_that_vanishes_while_it_is_written_is_written_once_more(tmp_path, fate):
+    """It is still open, so all of it is still there."""
+    folder, worker = tmp_path / "records", Worker(threaded=False)
+    folder.mkdir()
+    sink = Sink(folder / "a.mcap", worker)
+    sink.put(b"before, ")
+    sink.flush()
+    if fate == "moved":
+        sink.path.rename(tmp_path / "elsewhere")
+    else:
+        sink.path.unlink()
+    if fate == "its folder deleted":
+        folder.rmdir()
+        sink.put(b"meanwhile, ")
+        sink.flush()
+        assert "the folder does not exist" in sink.error
+        folder.mkdir()
+    elif fate == "another's file":
+        sink.path.write_bytes(b"of somebody else")
+        sink.put(b"meanwhile, ")
+        sink.flush()
+        assert "exists already" in sink.error
+        sink.path.unlink()
+    else:
+        sink.put(b"meanwhile, ")
+        sink.flush()
+        assert not sink.error
+    sink.put(b"after")
+    sink.finish()
+    assert sink.finished
+    assert (folder / "a.mcap").read_bytes() == b"before, meanwhile, after"
+    assert len(worker.sentences) == 1
+
+
 def test_group_is_in_the_file_or_given_back_when_the_disk_hangs():
     """A recorder that ends while the disk hangs counts what hangs as lost, and lost it stays."""
     with tempfile.TemporaryDirectory() as name:
