@@ -21,7 +21,7 @@ import zenoh
 from tramstream import keys, tokens
 from tramstream.bus_settings import client_settings, router_settings
 from tramstream.clock import VehicleClock
-from tramstream.envelope import HEADER, Deliver, Envelope
+from tramstream.envelope import Deliver, Envelope
 from tramstream.errors import BusError
 from tramstream.header import HEADER, read_header
 from tramstream.resend import History

@@ -1,13 +1,9 @@
-"""One message on the bus as readers get it, and the header that every put carries."""
+"""One message on the bus as readers get it; its header is `tramstream.header`'s."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from typing import NamedTuple
-
-HEADER = struct.Struct("<QQI")
-"""Attachment of every put: publish_ns, sequence, session."""
 
 
 class Envelope(NamedTuple):
