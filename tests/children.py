@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
+
+from live import finished
 
 MEASURED = """
 import resource, sys, time
@@ -42,11 +43,8 @@ def measured(imports: str, work: str, *arguments: object) -> tuple[int, float, s
         f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({LIMIT_BYTES},) * 2)\n"
         + MEASURED.format(imports=imports, work=work)
     )
-    done = subprocess.run(
+    done = finished(
         [sys.executable, "-c", program, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
         cwd=Path(__file__).parent,
     )
     assert done.returncode == 0, done.stderr

@@ -24,6 +24,8 @@ HANG_S = 900.0
 times over."""
 PAUSE_S = 0.01
 """Between two looks at a condition."""
+SLEEP = ("sleep", str(HANG_S))
+"""A program that does nothing for as long as any test may need it."""
 
 
 def until(condition: Callable[[], T], what: str, found: Callable[[], object] = lambda: "") -> T:

@@ -8,15 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
+from live import HANG_S, command, environment, finished, short_folder, tramstream, until
 
 from tramstream import keys, roster
 from tramstream.bus import ZenohBus
@@ -29,35 +28,7 @@ from tramstream.roster import Proc, Roster
 pytestmark = pytest.mark.live
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-HANG_S = 900.0
-"""A guard against waiting for ever, not a verdict: a busy machine is slow, not wrong."""
 NODES = ("router", "recorder", "simulators", "processors", "gnss", "imu", "odometer")
-PROGRAM = (sys.executable, "-m", "tramstream.cli.main")
-
-
-def tramstream(*arguments: str, status: int = 0, **options: Any) -> str:
-    """Run the program as a user would; return its standard output."""
-    done = subprocess.run(
-        [*PROGRAM, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=HANG_S,
-        check=False,
-        **options,
-    )
-    assert done.returncode == status, done.stdout + done.stderr
-    return done.stdout
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> Any:
-    """Poll until the condition holds; fail by name after the deadline."""
-    end_s = time.monotonic() + HANG_S
-    while time.monotonic() < end_s:
-        result = condition()
-        if result:
-            return result
-        time.sleep(0.05)
-    raise AssertionError(f"waited {HANG_S:.0f} s for {what}")
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +48,8 @@ def ride(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """A folder whose path is short enough for a Unix socket."""
-    with tempfile.TemporaryDirectory(prefix="tram-", dir="/tmp") as name:
-        yield Path(name)
+    with short_folder() as path:
+        yield path
 
 
 def test_demo_loses_nothing_and_finds_every_injected_fault(ride: Any) -> None:
@@ -157,22 +127,22 @@ def test_part_of_a_ride_is_reprocessed_from_its_first_snapshot(ride: Any, tmp_pa
 
 def test_replay_gives_every_message_to_a_recorder_that_listens(ride: Any, folder: Path) -> None:
     path, _ = ride
-    environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
+    env = environment(folder / "run")
     router = subprocess.Popen(
-        [*PROGRAM, "replay", str(path), "--start-paused"],
-        env=environment,
+        command("replay", path, "--start-paused"),
+        env=env,
         stderr=subprocess.PIPE,
     )
     try:
-        wait_for((folder / "run" / "bus.sock").exists, "the first replay's bus")
+        until((folder / "run" / "bus.sock").exists, "the first replay's bus")
         recorder = subprocess.Popen(
-            [*PROGRAM, "record", "--out", str(folder / "out"), "--vehicle", "copy"],
-            env=environment,
+            command("record", "--out", folder / "out", "--vehicle", "copy"),
+            env=env,
             stderr=subprocess.PIPE,
         )
-        wait_for(lambda: list((folder / "out").glob("*.active")) or recorder.poll(), "the recorder")
+        until(lambda: list((folder / "out").glob("*.active")) or recorder.poll(), "the recorder")
         text = tramstream("replay", str(path), "--rate", "0", "--as", "copy", "--json",
-                          "--onto-live", env=environment)  # fmt: skip
+                          "--onto-live", env=env)  # fmt: skip
         recorder.send_signal(signal.SIGINT)
         assert recorder.wait(HANG_S) == 0
     finally:
@@ -190,26 +160,20 @@ def test_replay_gives_every_message_to_a_recorder_that_listens(ride: Any, folder
 
 def test_replay_refuses_keys_of_a_live_vehicle(ride: Any, folder: Path) -> None:
     path, _ = ride
-    environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(folder / "run")}
+    env = environment(folder / "run")
     first = subprocess.Popen(
-        [*PROGRAM, "replay", str(path), "--loop"],
-        env=environment,
+        command("replay", path, "--loop"),
+        env=env,
         stderr=subprocess.DEVNULL,
     )
     try:
-        wait_for((folder / "run" / "bus.sock").exists, "the first replay's bus")
+        until((folder / "run" / "bus.sock").exists, "the first replay's bus")
 
         def refused() -> bool:
-            done = subprocess.run(
-                [*PROGRAM, "replay", str(path), "--duration-s", "0.1"],
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            done = finished(command("replay", path, "--duration-s", 0.1), env=env)
             return done.returncode == 2 and "is live on this bus" in done.stderr
 
-        wait_for(refused, "a refusal")
+        until(refused, "a refusal")
     finally:
         first.send_signal(signal.SIGINT)
         assert first.wait(HANG_S) == 0
@@ -222,7 +186,7 @@ class Running:
         self.folder = folder
         self.config = config
         self.process = subprocess.Popen(
-            [*PROGRAM, *verb, str(config)],
+            command(*verb, config),
             stderr=(folder / "log.txt").open("w"),
         )
 
@@ -237,8 +201,8 @@ class Running:
 
     def nodes(self) -> dict[str, int]:
         """Processes of all nodes, once all are there and the run says so."""
-        wait_for(lambda: "vehicle demo:" in self.log() or self.process.poll(), "the run")
-        return {name: wait_for(lambda n=name: self.node(n), name) for name in NODES}
+        until(lambda: "vehicle demo:" in self.log() or self.process.poll(), "the run")
+        return {name: until(lambda n=name: self.node(n), name) for name in NODES}
 
     def supervisor(self) -> int:
         """The process that supervises now, and has begun to; 0 if there is none."""
@@ -256,7 +220,7 @@ class Running:
     def grow(self, size: int) -> None:
         """Wait until the record has grown by so much."""
         before = self.size()
-        wait_for(lambda: self.size() > before + size, "more record")
+        until(lambda: self.size() > before + size, "more record")
 
     def end(self, status: int = 0) -> None:
         self.process.send_signal(signal.SIGINT)
@@ -268,7 +232,7 @@ class Running:
         assert f"process {pid} has taken over" in self.log()
         assert f"`kill {pid}` ends it" in self.log()
         os.kill(pid, signal.SIGTERM)
-        wait_for(lambda: not Proc.of(pid), "the successor to end")
+        until(lambda: not Proc.of(pid), "the successor to end")
 
     def clean_up(self) -> None:
         """Leave no process behind, whatever a test has done."""
@@ -295,26 +259,26 @@ def test_nodes_outlive_each_other_and_the_ride_is_repeated_across_the_crash(
     running: Running, folder: Path, tmp_path: Path
 ) -> None:
     names = ("recorder", "processors", "gnss", "imu", "odometer")
-    before = wait_for(
+    before = until(
         lambda: all(pids := {n: running.node(n) for n in names}.values()) and pids, "all nodes"
     )
     assert before is not None
     pids = {name: running.node(name) for name in names}
-    active = wait_for(lambda: list((folder / "records").glob("*.active")), "a record")[0]
-    wait_for(lambda: active.stat().st_size > 200_000, "a few seconds of record")
+    active = until(lambda: list((folder / "records").glob("*.active")), "a record")[0]
+    until(lambda: active.stat().st_size > 200_000, "a few seconds of record")
 
     os.kill(pids["processors"], signal.SIGKILL)
-    wait_for(lambda: running.node("processors") not in (0, pids["processors"]), "new processors")
+    until(lambda: running.node("processors") not in (0, pids["processors"]), "new processors")
     size = active.stat().st_size
-    wait_for(lambda: active.stat().st_size > size + 150_000, "more record")
+    until(lambda: active.stat().st_size > size + 150_000, "more record")
     assert [running.node(n) for n in names if n != "processors"] == [
         pids[n] for n in names if n != "processors"
     ]
 
     os.kill(pids["imu"], signal.SIGKILL)
-    wait_for(lambda: running.node("imu") not in (0, pids["imu"]), "a new imu bridge")
+    until(lambda: running.node("imu") not in (0, pids["imu"]), "a new imu bridge")
     size = active.stat().st_size
-    wait_for(lambda: active.stat().st_size > size + 150_000, "more record")
+    until(lambda: active.stat().st_size > size + 150_000, "more record")
     assert running.node("recorder") == pids["recorder"]
     running.end()
 
@@ -343,14 +307,14 @@ def test_separate_processors_give_a_ride_that_is_repeated_as_well(
 def test_killed_recorder_is_started_again_and_its_record_repaired(
     running: Running, folder: Path
 ) -> None:
-    first = wait_for(lambda: running.node("recorder"), "the recorder")
-    active = wait_for(lambda: list((folder / "records").glob("*.active")), "a record")[0]
-    wait_for(lambda: active.stat().st_size > 100_000, "some record")
+    first = until(lambda: running.node("recorder"), "the recorder")
+    active = until(lambda: list((folder / "records").glob("*.active")), "a record")[0]
+    until(lambda: active.stat().st_size > 100_000, "some record")
     others = {name: running.node(name) for name in ("processors", "imu")}
     os.kill(first, signal.SIGKILL)
-    wait_for(lambda: running.node("recorder") not in (0, first), "a new recorder")
+    until(lambda: running.node("recorder") not in (0, first), "a new recorder")
     finished = active.with_name(active.name.removesuffix(".active"))
-    wait_for(finished.exists, "the repaired record")
+    until(finished.exists, "the repaired record")
     assert {name: running.node(name) for name in others} == others
     running.end()
     assert len(list((folder / "records").glob("*.mcap"))) == 2
@@ -379,16 +343,16 @@ def test_killed_run_comes_back_by_itself_and_its_nodes_have_gone_on(
     for _ in range(2):  # a successor has one, too
         os.kill(first, signal.SIGKILL)
         running.process.wait()
-        second = wait_for(
+        second = until(
             lambda old=first: (new := running.supervisor()) not in (0, old) and new, "a successor"
         )
-        wait_for(lambda p=second: f"process {p} has taken over" in running.log(), "its sentence")
+        until(lambda p=second: f"process {p} has taken over" in running.log(), "its sentence")
         first = second
         running.grow(100_000)
         assert {name: running.node(name) for name in NODES} == nodes
 
     os.kill(nodes["imu"], signal.SIGKILL)  # of a parent that is gone
-    wait_for(lambda: running.node("imu") not in (0, nodes["imu"]), "a new imu bridge")
+    until(lambda: running.node("imu") not in (0, nodes["imu"]), "a new imu bridge")
     running.grow(100_000)
     running.end_successor()
     assert not any(Proc.of(pid) for pid in nodes.values())
@@ -408,7 +372,7 @@ def test_nodes_end_in_order_when_supervisor_and_router_are_killed_together(
     for pid in (nodes["router"], running.process.pid):
         os.kill(pid, signal.SIGKILL)
     running.process.wait()
-    wait_for(lambda: not any(Proc.of(pid) for pid in nodes.values()), "the nodes to end")
+    until(lambda: not any(Proc.of(pid) for pid in nodes.values()), "the nodes to end")
     assert running.log().count("no supervisor for 10 s") == len(NODES) - 1
     assert list((folder / "records").glob("*.active")) == []  # finished
     assert len(list((folder / "records").glob("*.mcap"))) == 1
@@ -417,11 +381,11 @@ def test_nodes_end_in_order_when_supervisor_and_router_are_killed_together(
 def test_demo_whose_program_is_killed_ends() -> None:
     others = set(Path("/tmp").glob("tramstream-demo-*"))
     demo = subprocess.Popen(
-        [*PROGRAM, "demo", "--headless", "--out", "/tmp/never-written.mcap"],
+        command("demo", "--headless", "--out", "/tmp/never-written.mcap"),
         stderr=subprocess.DEVNULL,
     )
     try:
-        folder = wait_for(
+        folder = until(
             lambda: [
                 path
                 for path in set(Path("/tmp").glob("tramstream-demo-*")) - others
@@ -429,15 +393,15 @@ def test_demo_whose_program_is_killed_ends() -> None:
             ],
             "the demo's folder",
         )[0]
-        wait_for(lambda: list((folder / "records").glob("*.active")), "a record")
+        until(lambda: list((folder / "records").glob("*.active")), "a record")
         known = roster.read(folder / "run")
         assert known is not None
     finally:
         demo.kill()
         demo.wait()
     assert "router" in known.nodes
-    wait_for(lambda: not known.living(), "the nodes to end")
-    wait_for(lambda: not list((folder / "records").glob("*.active")), "the record's end")
+    until(lambda: not known.living(), "the nodes to end")
+    until(lambda: not list((folder / "records").glob("*.active")), "the record's end")
     after = roster.read(folder / "run")
     assert after is None or after.supervisor.pid == demo.pid  # nobody came after it
     shutil.rmtree(folder)
@@ -447,9 +411,9 @@ def test_killed_router_is_back_and_all_nodes_with_it(running: Running, folder: P
     nodes = running.nodes()
     running.grow(100_000)
     os.kill(nodes["router"], signal.SIGKILL)
-    wait_for(lambda: running.node("router") not in (0, nodes["router"]), "a new router")
+    until(lambda: running.node("router") not in (0, nodes["router"]), "a new router")
     size = running.size()
-    wait_for(lambda: running.size() > size + 200_000, "the record to go on")
+    until(lambda: running.size() > size + 200_000, "the record to go on")
     others = {name: running.node(name) for name in NODES if name != "router"}
     assert others == {name: pid for name, pid in nodes.items() if name != "router"}
     running.process.send_signal(signal.SIGINT)
@@ -465,7 +429,7 @@ def test_frozen_node_is_said_killed_and_replaced(running: Running, name: str) ->
     nodes = running.nodes()
     running.grow(100_000)
     os.kill(nodes[name], signal.SIGSTOP)
-    wait_for(lambda: running.node(name) not in (0, nodes[name]), f"a new {name}")
+    until(lambda: running.node(name) not in (0, nodes[name]), f"a new {name}")
     running.grow(100_000)
     log = running.log()
     assert f"node {name} has given no heartbeat for 3 s\n" in log
@@ -504,7 +468,7 @@ def test_malformed_messages_of_a_stranger_end_nothing(running: Running, folder: 
         ):
             for sequence in range(1, 20):
                 bus.publish(key.on("demo"), payload, key.encoding, sequence)
-        wait_for(lambda: "left out, as" in running.log(), "a sentence")
+        until(lambda: "left out, as" in running.log(), "a sentence")
     finally:
         bus.close()
     running.grow(200_000)
@@ -522,7 +486,7 @@ def test_run_whose_recorder_named_a_loss_ends_with_status_three(
     try:
         key = keys.LOSS.at("recorder")
         bus.publish(key.on("demo"), loss.SerializeToString(), key.encoding, 1)
-        wait_for(lambda: (known := running.roster()) and known.lost == 5, "the count")
+        until(lambda: (known := running.roster()) and known.lost == 5, "the count")
     finally:
         bus.close()
     running.end(status=3)
@@ -531,9 +495,7 @@ def test_run_whose_recorder_named_a_loss_ends_with_status_three(
 
 def test_second_run_in_the_same_folder_is_refused_and_the_first_goes_on(running: Running) -> None:
     nodes = running.nodes()
-    done = subprocess.run(
-        [*PROGRAM, "run", str(running.config)], capture_output=True, text=True, check=False
-    )
+    done = finished(command("run", running.config))
     assert done.returncode == 2
     assert f"`kill {running.process.pid}` ends it" in done.stderr
     assert "$.bus.runtime_dir" in done.stderr

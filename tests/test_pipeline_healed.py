@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from test_pipeline import Running, tramstream, wait_for
+from live import short_folder, tramstream, until
+from test_pipeline import Running
 
 from tramstream import keys
 from tramstream.cli.demo import configuration
@@ -26,8 +26,8 @@ HALT_S = 3.0
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="tram-", dir="/tmp") as name:
-        yield Path(name)
+    with short_folder() as path:
+        yield path
 
 
 def size(folder: Path) -> int:
@@ -36,7 +36,7 @@ def size(folder: Path) -> int:
 
 def grow(folder: Path, by: int) -> None:
     before = size(folder)
-    wait_for(lambda: size(folder) > before + by, "more record")
+    until(lambda: size(folder) > before + by, "more record")
 
 
 def test_ride_whose_recorder_stood_still_and_was_killed_is_whole_and_repeated(
@@ -46,7 +46,7 @@ def test_ride_whose_recorder_stood_still_and_was_killed_is_whole_and_repeated(
     config.write_text(configuration(folder, seed=3))
     run = Running(config, folder)
     try:
-        wait_for(lambda: run.node("processors"), "the processors")
+        until(lambda: run.node("processors"), "the processors")
         grow(folder, 200_000)
         recorder = run.node("recorder")
         os.kill(recorder, signal.SIGSTOP)
@@ -55,7 +55,7 @@ def test_ride_whose_recorder_stood_still_and_was_killed_is_whole_and_repeated(
         grow(folder, 200_000)
         killed = run.node("recorder")
         os.kill(killed, signal.SIGKILL)
-        wait_for(lambda: run.node("recorder") not in (0, killed), "a new recorder")
+        until(lambda: run.node("recorder") not in (0, killed), "a new recorder")
         grow(folder, 600_000)  # whoever ends takes what is only in its memory with it
         run.end()
     finally:

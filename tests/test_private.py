@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import stat
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from live import finished
 from other_users import as_user, open_folder
 
 from tramstream import machine_code, private, snapshots
@@ -204,8 +204,6 @@ def test_compiled_kernels_are_nobody_elses(cache: Path) -> None:
         "from tramstream import machine_code\n"
         "print(machine_code.folder())"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    done = finished([sys.executable, "-c", program], check=True)
     for each in (Path(done.stdout.strip()), Path(done.stdout.strip()).parent):
         assert stat.S_IMODE(each.stat().st_mode) == 0o700

@@ -6,17 +6,19 @@ import os
 import signal
 import subprocess
 
+from live import HANG_S, SLEEP
+
 from tramstream.process import Running
 
 
 def test_process_of_another_parent_is_waited_for_signalled_and_seen_to_end() -> None:
-    with subprocess.Popen(["sleep", "600"]) as child:
+    with subprocess.Popen(SLEEP) as child:
         running = Running(child.pid)
         assert not running.ended()
         assert not running.ended(0.01)
         running.send(signal.SIGTERM)
-        assert running.ended(900.0)
-        assert child.wait(900) == -signal.SIGTERM
+        assert running.ended(HANG_S)
+        assert child.wait(HANG_S) == -signal.SIGTERM
         assert running.ended()
         assert running.status() is None  # only its parent knows
         running.send(signal.SIGKILL)  # nobody is hit
@@ -25,14 +27,14 @@ def test_process_of_another_parent_is_waited_for_signalled_and_seen_to_end() -> 
 
 
 def test_stopped_process_takes_no_sigterm_but_sigkill() -> None:
-    with subprocess.Popen(["sleep", "600"]) as child:
+    with subprocess.Popen(SLEEP) as child:
         running = Running(child.pid)
         running.send(signal.SIGSTOP)
         os.waitid(os.P_PID, child.pid, os.WSTOPPED)
         running.send(signal.SIGTERM)
         assert not running.ended(0.1)
         running.send(signal.SIGKILL)
-        assert running.ended(900.0)
+        assert running.ended(HANG_S)
         running.close()
 
 

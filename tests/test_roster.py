@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from live import SLEEP
 
 from tramstream import roster
 from tramstream.errors import BusError
@@ -41,7 +42,7 @@ def test_living_process_is_alive_and_one_of_another_start_is_not() -> None:
 
 
 def test_ended_process_is_gone_even_before_it_is_reaped() -> None:
-    child = subprocess.Popen(["sleep", "60"])
+    child = subprocess.Popen(SLEEP)
     process = Proc.of(child.pid)
     assert process is not None
     assert process.alive
@@ -55,9 +56,9 @@ def test_ended_process_is_gone_even_before_it_is_reaped() -> None:
 def test_process_with_blanks_and_brackets_in_its_name_is_known_by_its_start(folder: Path) -> None:
     program = folder / "a) R 1 (b"
     program.symlink_to("/bin/sleep")
-    with subprocess.Popen([str(program), "60"]) as child:
+    with subprocess.Popen([str(program), *SLEEP[1:]]) as child:
         process = Proc.of(child.pid)
-        plain = subprocess.Popen(["sleep", "60"])
+        plain = subprocess.Popen(SLEEP)
         try:
             assert process is not None
             later = Proc.of(plain.pid)
@@ -94,7 +95,7 @@ def test_roster_of_another_boot_or_cut_anywhere_is_none(folder: Path) -> None:
 
 
 def test_nodes_that_have_ended_do_not_live(folder: Path) -> None:
-    child = subprocess.Popen(["sleep", "60"])
+    child = subprocess.Popen(SLEEP)
     process = Proc.of(child.pid)
     assert process is not None
     known = written(nodes={"a": process, "b": me()})

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from live import HANG_S, SLEEP, until
 
 from tramstream import roster
 from tramstream.roster import NOBODY, REST, Proc, Roster
@@ -85,7 +86,7 @@ def test_node_without_any_supervisor_ends_after_ten_seconds(scene: Scene, known:
 
 def test_node_goes_on_under_a_new_supervisor(scene: Scene) -> None:
     scene.write()
-    child = subprocess.Popen(["sleep", "600"])
+    child = subprocess.Popen(SLEEP)
 
     def succeed() -> None:
         scene.write(supervisor=Proc.of(child.pid))
@@ -135,7 +136,7 @@ def test_command_that_cannot_be_started_is_said(scene: Scene) -> None:
 
 
 def test_router_starts_nobody_while_somebody_takes_the_place(scene: Scene) -> None:
-    scene.write(command=("sleep", "600"))
+    scene.write(command=SLEEP)
     held = roster.lock(scene.folder)
     scene.stop.script = [(1.0, lambda: os.close(held)), (1.0, scene.stop.set)]
     scene.watch(starts_successor=True)
@@ -146,7 +147,7 @@ def test_router_starts_nobody_while_somebody_takes_the_place(scene: Scene) -> No
 
 def test_successor_is_in_a_session_of_its_own(scene: Scene) -> None:
     """Ctrl-C in the terminal of the first does not reach it; `kill` does."""
-    scene.write(command=("sleep", "600"))
+    scene.write(command=SLEEP)
 
     def end() -> None:
         known = roster.read(scene.folder)
@@ -159,9 +160,11 @@ def test_successor_is_in_a_session_of_its_own(scene: Scene) -> None:
     watching = threading.Thread(target=scene.watch, args=(True,))
     watching.start()
     try:
-        while (known := roster.read(scene.folder)) is None or not known.supervisor.alive:
-            threading.Event().wait(0.02)
+        until(
+            lambda: (known := roster.read(scene.folder)) and known.supervisor.alive,
+            "the successor",
+        )
     finally:
         end()
-    watching.join(900)
+    watching.join(HANG_S)
     assert not watching.is_alive()

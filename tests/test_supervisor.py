@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from live import HANG_S, SLEEP
 from scripted import ManualClock
 
 from tramstream import config, keys, registry, roster, supervisor
@@ -254,7 +255,7 @@ def test_slow_clock_makes_heartbeats_rare_and_kills_nobody(folder: Path) -> None
 def sleepers() -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Processes that stand for nodes of a supervisor that was killed."""
     names = ("router", "recorder", "processors", "imu")
-    children = {name: subprocess.Popen(["sleep", "600"]) for name in names}
+    children = {name: subprocess.Popen(SLEEP) for name in names}
     yield children
     for child in children.values():
         child.kill()
@@ -300,7 +301,7 @@ def test_living_nodes_are_taken_over_and_only_the_missing_are_started(
     assert "node imu ended; starting it again in 0.2 s" in scene.said
     scene.supervisor.stop_nodes(None)
     scene.supervisor.stop_router()
-    assert all(child.wait(900) == -signal.SIGTERM for name, child in sleepers.items()
+    assert all(child.wait(HANG_S) == -signal.SIGTERM for name, child in sleepers.items()
                if name != "imu")  # fmt: skip
     assert roster.read(scene.vehicle.runtime_dir) is None
 
@@ -314,7 +315,7 @@ def test_nodes_of_other_settings_or_of_a_run_that_was_ending_are_ended_not_taken
     left_behind(scene, sleepers, **fields)
     scene.begin()
     assert not scene.supervisor.took_over
-    assert all(child.wait(900) == -signal.SIGTERM for child in sleepers.values())
+    assert all(child.wait(HANG_S) == -signal.SIGTERM for child in sleepers.values())
     assert [name for name, _ in scene.started][:2] == ["router", "recorder"]
     assert set(scene.processes) == set(registry.node_names(scene.vehicle))
 
@@ -332,14 +333,14 @@ def test_frozen_router_that_was_taken_over_is_replaced_before_anything_else(
         return scene.bus
 
     assert scene.supervisor.join(connect) is scene.bus
-    assert sleepers["router"].wait(900) == -signal.SIGKILL
+    assert sleepers["router"].wait(HANG_S) == -signal.SIGKILL
     assert len(scene.starts_of("router")) == 1
     assert "node router does not answer; killing it" in scene.said
 
 
 def test_second_supervisor_of_a_folder_is_refused_and_the_first_goes_on(scene: Scene) -> None:
     scene.begin()
-    with subprocess.Popen(["sleep", "600"]) as other:
+    with subprocess.Popen(SLEEP) as other:
         known = roster.read(scene.vehicle.runtime_dir)
         assert known is not None
         process = Proc.of(other.pid)

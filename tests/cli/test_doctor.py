@@ -7,15 +7,18 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from functools import reduce
 from operator import xor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from live import HANG_S, short_folder
 from looking import VEHICLE, busy_bus, tramstream
 
 from tramstream import config, keys
+from tramstream.bridges.ports import SerialPort
 from tramstream.bridges.pseudo_terminal import PseudoTerminal
 from tramstream.cli import checkup, checkup_devices
 from tramstream.cli.checkup import State
@@ -181,18 +184,48 @@ def test_program_that_has_the_device_is_named(tmp_path):
         terminal.close()
 
 
+def listening_lasts(monkeypatch, counted) -> None:
+    """Let time of listening pass with reads, so many seconds as each is `counted`, and only so.
+
+    Only a device of which no such read comes is listened to until `HANG_S`.
+    """
+    read, begin_s = SerialPort.read, time.monotonic()
+    passed_s = 0.0
+
+    def read_one(port):
+        nonlocal passed_s
+        message = read(port)
+        passed_s += counted(message)
+        return message
+
+    def now_s() -> float:
+        return passed_s + (time.monotonic() - begin_s) * checkup_devices.LISTEN_S / HANG_S
+
+    monkeypatch.setattr(SerialPort, "read", read_one)
+    monkeypatch.setattr(checkup_devices, "time", SimpleNamespace(monotonic=now_s))
+
+
 @pytest.mark.live
 @pytest.mark.parametrize(
-    ("data_of", "listen_s", "state", "text"),
+    ("data_of", "counted", "state", "text"),
     [
-        (nmea, HANG_S, State.OK, "speaks: raw/gnss"),
-        (lambda number: b"\x00\x81" * 50, 3.0, State.WARNING, "nothing that gnss understands"),
-        (lambda number: b"", 0.3, State.WARNING, "silent"),
+        (nmea, lambda message: 0.0, State.OK, "speaks: raw/gnss"),
+        (
+            lambda number: b"\x00\x81" * 50,
+            lambda message: 0.0 if message is None else 0.1,
+            State.WARNING,
+            "nothing that gnss understands",
+        ),
+        (
+            lambda number: b"",
+            lambda message: 1.0 if message is None else 0.0,
+            State.WARNING,
+            "silent",
+        ),
     ],
 )
-def test_device_is_listened_to(tmp_path, monkeypatch, data_of, listen_s, state, text):
-    # As long as it takes where something shall be understood; silence need not be listened to.
-    monkeypatch.setattr(checkup_devices, "LISTEN_S", listen_s)
+def test_device_is_listened_to(tmp_path, monkeypatch, data_of, counted, state, text):
+    listening_lasts(monkeypatch, counted)
     terminal = PseudoTerminal(tmp_path / "port")
     terminal.open()
     stop = threading.Event()

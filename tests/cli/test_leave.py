@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from live import finished, short_folder
 
 pytestmark = pytest.mark.live
 
@@ -40,20 +39,14 @@ leave(3)
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="tram-", dir="/tmp") as name:
-        yield Path(name)
+    with short_folder() as path:
+        yield path
 
 
 @pytest.mark.parametrize("callback", ["busy", "done"])
 def test_program_ends_with_its_status_and_all_it_printed(folder: Path, callback: str) -> None:
     """Without `leave` the process hangs, or is aborted: "FATAL: exception not rethrown"."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(folder), callback],
-        capture_output=True,
-        text=True,
-        timeout=900,
-        check=False,
-    )
+    done = finished([sys.executable, "-c", PROGRAM, str(folder), callback])
     assert done.returncode == 3, done.stderr
     assert done.stdout == "said"
     assert done.stderr == ""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from live import finished
 from prague import Prague
 from typer.testing import CliRunner, Result
 
@@ -118,7 +118,7 @@ def test_help_loads_nothing_heavy() -> None:
         "import sys; from tramstream.cli.main import make_app; make_app('map'); "
         "sys.exit(any(m in sys.modules for m in ('numpy', 'numba', 'osmium', 'scipy')))"
     )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    assert finished([sys.executable, "-c", program]).returncode == 0
 
 
 @pytest.mark.realdata

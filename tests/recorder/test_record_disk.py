@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from disks import Watched, refusing
+from live import finished
 from record_samples import START_NS, VEHICLE, active, plain, read, traffic
 
 from tramstream.clock import S, VehicleClock
@@ -317,12 +317,9 @@ print(recording.close(), sum(loss.count for loss in recording.take_losses()), se
 
 
 def run_writer(folder: Path, limit: int) -> list[str]:
-    done = subprocess.run(
+    done = finished(
         [sys.executable, "-c", WRITER, str(Path(__file__).parent), str(folder), str(limit)],
-        capture_output=True,
-        text=True,
         check=True,
-        timeout=60,
     )
     return done.stdout.strip().split(";")
 
@@ -342,9 +339,7 @@ def test_file_size_limit_of_the_system_harms_nothing_written(tmp_path):
 
 @pytest.mark.live
 def test_full_file_system_harms_nothing_written(tmp_path):
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=128k", "none", str(tmp_path)], capture_output=True
-    )
+    mounted = finished(["mount", "-t", "tmpfs", "-o", "size=128k", "none", str(tmp_path)])
     if mounted.returncode:
         pytest.skip("mount is not allowed here")
     try:
@@ -354,7 +349,7 @@ def test_full_file_system_harms_nothing_written(tmp_path):
         with open_record(left) as record:
             assert not record.damaged
     finally:
-        subprocess.run(["umount", str(tmp_path)], check=True)
+        finished(["umount", str(tmp_path)], check=True)
     assert closed == "False"
     assert 0 < len(found) == 3000 - int(dropped)
     assert found == plain(traffic(3000)[: len(found)])

@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 import pytest
+from live import HANG_S, until
 from record_samples import VEHICLE
 
 from tramstream import keys
@@ -29,7 +30,6 @@ from tramstream.recorder.reader import open_record
 from tramstream.recorder.sink import Worker
 
 LIMIT_NS = S // 2
-DEADLINE_S = 30.0
 
 WRITER = """
 import mmap, os, struct, sys, time
@@ -84,19 +84,20 @@ class Victim:
 
 def kill_all(victims: list[Victim], chance: random.Random, latest_s: float) -> None:
     """Wait until each writes, then kill each at a moment of its own, `latest_s` at the latest."""
-    deadline_s = time.monotonic() + DEADLINE_S
     waiting = list(victims)
-    while waiting:
-        assert time.monotonic() < deadline_s
+
+    def all_killed() -> bool:
         for victim in list(waiting):
             if victim.kill_at_s == 0.0 and victim.last()[1] > 0:
                 victim.kill_at_s = time.monotonic() + chance.uniform(0.6, latest_s)
             if victim.kill_at_s and time.monotonic() >= victim.kill_at_s:
                 os.kill(victim.process.pid, signal.SIGKILL)
                 waiting.remove(victim)
-        time.sleep(0.001)
+        return not waiting
+
+    until(all_killed, "every recorder to write and to be killed")
     for victim in victims:
-        victim.process.wait(DEADLINE_S)
+        victim.process.wait(HANG_S)
 
 
 def check(victim: Victim) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from disks import Watched, refusing
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from live import HANG_S, finished
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from record_samples import MS, START_NS, VEHICLE, Sent, append, plain, read, traffic, write
@@ -103,9 +103,7 @@ with open(sys.argv[1], "rb") as file:
     print(sum(m is not None for _, _, _, m in reader.iter_decoded_messages()))
 assert not any(name.startswith("tramstream") for name in sys.modules)
 """
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", program, str(path)], capture_output=True, text=True, check=True
-    )
+    done = finished([sys.executable, "-I", "-c", program, str(path)], check=True)
     assert int(done.stdout) == len(keys.ALL)
 
 
@@ -118,7 +116,7 @@ def test_equal_appends_give_equal_bytes(tmp_path):
         if number % 50 == 0:
             live.flush()
     live.close()
-    assert live._sink._worker.close(timeout_s=10)
+    assert live._sink._worker.close(HANG_S)
     assert live.finished
     assert (tmp_path / "c.mcap").read_bytes() == first
 
