@@ -37,8 +37,8 @@ SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
 AGAIN_S = 0.2
 """The same after an answer that was full."""
-SILENT_MOST = 5
-"""Who ends, and so often in a row does not answer, is gone already."""
+SILENT_S = 5.0
+"""Who ends, and does not answer for so long, is gone already."""
 LAST_ROUNDS = 20
 """Questions at the end, each with the answers to the one before."""
 
@@ -51,8 +51,11 @@ class Leaving:
     answer: Callable[[], None]
     swept: bool = False
     """Whether it has said that it holds nothing that is missing here."""
-    silent: int = 0
-    """Questions in a row that it did not answer."""
+    silent_ns: int = 0
+    """Since when it has answered nothing; 0 if it answered the last question. A full link drops
+    questions and answers at once, so how often says nothing."""
+    due: bool = False
+    """Whether it is to be asked again."""
 
 
 @dataclass(slots=True)
@@ -200,8 +203,11 @@ class RecorderNode(Node):
 
     def _let_go(self) -> None:
         """Answer publishers that have nothing left that is missing here."""
-        for leaving in [each for each in self._leaving if each.swept]:
-            if not self._gaps.holes_of(leaving.session):
+        for leaving in list(self._leaving):
+            if leaving.due:
+                leaving.due = False
+                self._see_off(leaving)
+            elif leaving.swept and not self._gaps.holes_of(leaving.session):
                 self._leaving.remove(leaving)
                 leaving.answer()
 
@@ -212,12 +218,11 @@ class RecorderNode(Node):
                 self._leaving.append(item)
                 self._see_off(item)
             case Seen(leaving, answers):
-                leaving.silent = 0 if answers else leaving.silent + 1
-                leaving.swept = leaving.swept or leaving.silent > SILENT_MOST
-                if leaving.swept:
-                    self._let_go()
-                else:
-                    self._see_off(leaving)
+                now_ns = self.clock.now_ns()
+                leaving.silent_ns = 0 if answers else leaving.silent_ns or now_ns
+                gone = leaving.silent_ns and now_ns - leaving.silent_ns > SILENT_S * S
+                leaving.swept = leaving.swept or bool(gone)
+                leaving.due = not leaving.swept
             case _:
                 self._take_answer(item)
 
