@@ -128,8 +128,9 @@ class RecorderNode(Node):
 
     def handle(self, envelope: Envelope) -> None:
         topic = envelope.topic
-        # Its publisher knows a message by the topic that it was published on.
-        published = envelope._replace(topic=keys.published(topic))
+        published = envelope
+        if keys.APART in topic:  # its publisher knows it by the topic that it was published on
+            published = envelope._replace(topic=keys.published(topic))
         log_ns = self._gaps.offer(published, self.ring.dropped)
         if log_ns is None:
             return
