@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,24 +74,27 @@ class Vehicle:
     def steps(
         self, events: dict[int, Callable[[], None]], receivers: dict[str, range], strangers: range
     ) -> Iterator[Callable[[], None]]:
-        def record() -> None:
-            self.recorder.drain()
-            self.recorder.settle_sources()
+        def recorded(todo: Callable[[], None]) -> Callable[[], None]:
+            """A step and the recorder's work on it: the loop waits after a step without a message."""
+
+            def both() -> None:
+                todo()
+                self.recorder.drain()
+                self.recorder.settle_sources()
+
+            return both
 
         self.first.announce("gnss")
         for step in range(STEPS):
             if step in events:
                 yield events[step]
             for todo in drive(self.others, self.clock, range(step, step + 1), fixes=False):
-                yield todo
-                yield record
+                yield recorded(todo)
             for name, when in receivers.items():
                 if step % 20 == 0 and step in when:
-                    yield lambda name=name, step=step: self.receive(getattr(self, name), step)
-                    yield record
+                    yield recorded(partial(self.receive, getattr(self, name), step))
             if step in strangers:
-                yield lambda step=step: self.disturb(step)
-                yield record
+                yield recorded(partial(self.disturb, step))
 
     def ride(
         self,
