@@ -75,7 +75,7 @@ class Vehicle:
         self, events: dict[int, Callable[[], None]], receivers: dict[str, range], strangers: range
     ) -> Iterator[Callable[[], None]]:
         def recorded(todo: Callable[[], None]) -> Callable[[], None]:
-            """A step and the recorder's work on it: the loop waits after a step without a message."""
+            """A step and the recorder's work on it; alone that would be waited for."""
 
             def both() -> None:
                 todo()
