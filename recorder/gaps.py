@@ -244,8 +244,8 @@ class GapBook(LossCounter):
             expression=expression, after_publish_ns=self._since_ns, before_publish_ns=before_ns
         )
         for stream in self._streams.values():
-            # Where a hole is open, its own questions are on their way.
-            behind_ns = 0 if stream.holes else before_ns
+            # Where a hole is open, its own questions are on their way, and the end can wait.
+            behind_ns = 0 if stream.holes and not all_of_it else before_ns
             request.stretches.add(
                 topic=stream.topic,
                 session=stream.session,

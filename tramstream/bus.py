@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Any
 import zenoh
 
 from tramstream import keys, tokens
-from tramstream.bus_settings import client_settings, router_settings
+from tramstream.bus_settings import LEAVE_S, client_settings, router_settings
 from tramstream.clock import VehicleClock
 from tramstream.envelope import Deliver, Envelope
 from tramstream.errors import BusError
@@ -31,8 +32,6 @@ from tramstream.subscription import Subscription
 CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
-LEAVE_S = 3.0
-"""A recorder that stands still does not hold up those who end for longer."""
 
 
 __all__ = ["HEADER", "Bus", "Deliver", "Envelope", "LocalBus", "ZenohBus", "router_listens"]
@@ -121,9 +120,9 @@ class Bus(ABC):
     def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
         """Give `take` what queries on `topic` carry, and a call that answers it at any time."""
 
+    @abstractmethod
     def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
         """Wait until the recorder of `vehicle`, if there is one, has all of this session."""
-        self.ask(keys.farewell(vehicle), timeout_s, self.session.to_bytes(4, "little"))
 
     @abstractmethod
     def ask_again(
@@ -146,7 +145,6 @@ class LocalBus(Bus):
         self._readers: list[tuple[str, Deliver]] = []
         self._announced: list[str] = []
         self._answers: list[tuple[str, Callable[[str], bytes | None]]] = []
-        self._attended: list[tuple[str, Callable[[bytes, Callable[[], None]], None]]] = []
 
     def _put(
         self, topic: str, payload: bytes, encoding: str, sequence: int, publish_ns: int
@@ -181,14 +179,14 @@ class LocalBus(Bus):
         self._answers.append((expression, reply))
 
     def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
-        for attended, take in self._attended:
-            if attended == topic:
-                take(payload, lambda: None)  # here nothing is under way
         answers = [reply(topic) for expr, reply in self._answers if keys.matches(expr, topic)]
         return [answer for answer in answers if answer is not None]
 
     def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
-        self._attended.append((topic, take))
+        """Nobody asks: see `take_leave`."""
+
+    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
+        """Nothing is under way: what was published has been delivered."""
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0
@@ -351,10 +349,17 @@ class ZenohBus(Bus):
                 with query:
                     query.reply(query.key_expr, b"")
 
-            asked = query.payload
-            take(asked.to_bytes() if asked is not None else b"", answer)
+            take(query.payload.to_bytes() if query.payload is not None else b"", answer)
 
         self._held.append(self._session.declare_queryable(topic, callback))
+
+    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
+        who, end_s = self.session.to_bytes(4, "little"), time.monotonic() + timeout_s
+        while (rest_s := end_s - time.monotonic()) > 0.0:
+            answered = self.ask(keys.farewell(vehicle), rest_s, who)
+            if answered or not self.alive(keys.alive(vehicle, "recorder")):
+                return
+            time.sleep(ROUTER_POLL_S)  # a full link drops question or answer: it is put again
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0

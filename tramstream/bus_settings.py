@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 CONNECT_TIMEOUT_MS = 2000
+LEAVE_S = 3.0
+"""A recorder that stands still does not hold up those who end for longer."""
 QUEUE_BATCHES = 16
 """Of 64 KiB, on each link; zenoh allows no more. With its default of two, a reader that is not
 scheduled for some milliseconds loses messages."""

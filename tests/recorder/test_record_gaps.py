@@ -219,6 +219,22 @@ def test_lost_tail_that_no_later_message_shows_is_found_by_asking_everybody() ->
     world.check()
 
 
+def test_end_is_asked_for_although_a_hole_is_open() -> None:
+    """As of a publisher that ends: no later question will find what it sent last."""
+    world = World()
+    for _ in range(5):
+        world.publish(TOPICS[0])
+    world.deliver()
+    world.lose()
+    world.deliver()
+    world.flying.clear()
+    world.now_ns += 1000
+    world.answer(world.book.sweep("tram/v/**", world.now_ns, all_of_it=True))
+    assert world.ask()
+    world.check()
+    assert len(world.record) == 6
+
+
 def test_restarted_recorder_gets_what_was_published_meanwhile() -> None:
     world = World()
     for _ in range(5):
