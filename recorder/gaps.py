@@ -21,9 +21,12 @@ from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendRequest, ResendStretch, ResentStretch
 from tramstream.recorder.previous import NOTHING, Previous, Remembered
 
-AGAIN_NS = (S // 4, S // 2, S, S, S, S)
+AGAIN_NS = (S // 4, S // 2, S, S, S, S, 2 * S, 2 * S, 2 * S, 2 * S)
 """Pauses between questions that nobody answers; after the last a hole is given up. They count only
-while messages of others arrive: no answer through a router that is away means nothing."""
+while messages of others arrive: no answer through a router that is away means nothing. On a busy
+machine links are full for seconds, and answers dropped; publishers keep what is asked for 30 s."""
+ORPHANED_NS = 20 * S
+"""So long after a start nobody has answered for a gap in the record before: nobody will."""
 STRETCHES = 400
 """Of one request."""
 SWEEP_BEHIND_NS = S
@@ -91,10 +94,14 @@ class GapBook(LossCounter):
         self._open: dict[tuple[str, int], _Stream] = {}
         self._after_ns: dict[str, int] = {}
         self._heard = 0
+        self._begun_ns = since_ns
+        self._refilled: dict[str, dict[int, int]] = {}
+        self._orphans: set[str] = set()  # topics whose remembered gaps nobody has accounted for
 
     def remember(self, previous: Previous) -> None:
         """Go on from what the record of a predecessor holds; before the first message."""
         self._previous = previous
+        self._orphans = set(previous.topics)
         if previous.topics:
             self._since_ns = previous.since_ns
 
@@ -188,6 +195,7 @@ class GapBook(LossCounter):
         hole.filled[publish_ns] = sequence
         log_ns = hole.after_log_ns
         if hole.first:
+            self._refilled.setdefault(stream.topic, {})[publish_ns] = sequence
             remembered = self._previous.topics.get(stream.topic)
             log_ns = remembered.log_before(publish_ns) if remembered is not None else 0
         if hole.after_sequence is not None:
@@ -307,11 +315,40 @@ class GapBook(LossCounter):
             for hole in list(stream.holes):
                 if at_once or (hole.asked > len(AGAIN_NS) and now_ns >= hole.due_ns):
                     losses += self._close(stream, hole)
+        if self._orphans and (at_once or now_ns - self._begun_ns > ORPHANED_NS):
+            waiting = {stream.topic for stream in self._open.values()}
+            for topic in sorted(self._orphans - waiting):
+                losses += self._name_orphans(topic)
+        return losses
+
+    def _name_orphans(self, topic: str) -> list[Loss]:
+        """Name what a predecessor had asked for in vain of a publisher that is gone as well."""
+        self._orphans.discard(topic)
+        remembered = self._previous.topics[topic]
+        here = {**remembered.known, **self._refilled.get(topic, {})}
+        losses: list[Loss] = []
+        left_ns, left = remembered.after_ns, remembered.after_sequence
+        for publish_ns, sequence in sorted(here.items()):
+            if left is not None and sequence > left + 1:
+                self.lost[topic] += sequence - left - 1
+                losses.append(
+                    Loss(
+                        consumer=self.consumer,
+                        key=topic,
+                        count=sequence - left - 1,
+                        after_publish_ns=left_ns,
+                        before_publish_ns=publish_ns,
+                        cause=Loss.Cause.ABSENT,
+                    )
+                )
+            left_ns, left = publish_ns, sequence
         return losses
 
     def _close(self, stream: _Stream, hole: Hole) -> list[Loss]:
         self._remove(stream, hole)
         remembered = self._previous.topics.get(stream.topic) if hole.first else None
+        if remembered and hole.before_sequence > max(remembered.known.values(), default=0):
+            self._orphans.discard(stream.topic)  # its numbers go on: what is missing shows here
         cause = Loss.Cause.BUS if remembered is None else Loss.Cause.ABSENT
         queued = hole.queued
         losses = []
@@ -341,8 +378,9 @@ def _missing(hole: Hole, remembered: Remembered | None) -> Iterator[tuple[int, i
     if remembered is not None:
         here |= remembered.known
         numbered = remembered.after_sequence
-        if left is None and numbered is not None and hole.before_sequence > numbered:
-            left = numbered
+        if numbered is not None and hole.before_sequence > numbered:
+            # A session that begins above goes on counting for one that is gone.
+            left = numbered if left is None else min(left, numbered)
     for publish_ns, sequence in sorted([*here.items(), (hole.before_ns, hole.before_sequence)]):
         if not hole.after_ns < publish_ns <= hole.before_ns or sequence > hole.before_sequence:
             continue

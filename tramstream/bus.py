@@ -32,8 +32,6 @@ from tramstream.subscription import Subscription
 CLOSE_TIMEOUT_S = 3.0
 """zenoh's close may take ten seconds while a peer is frozen; nobody waits that long."""
 ROUTER_POLL_S = 0.1
-
-
 __all__ = ["HEADER", "Bus", "Deliver", "Envelope", "LocalBus", "ZenohBus", "router_listens"]
 
 
@@ -354,9 +352,9 @@ class ZenohBus(Bus):
         self._held.append(self._session.declare_queryable(topic, callback))
 
     def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
-        who, end_s = self.session.to_bytes(4, "little"), time.monotonic() + timeout_s
+        end_s = time.monotonic() + timeout_s
         while (rest_s := end_s - time.monotonic()) > 0.0:
-            answered = self.ask(keys.farewell(vehicle), rest_s, who)
+            answered = self.ask(keys.farewell(vehicle), rest_s, self.session.to_bytes(4, "little"))
             if answered or not self.alive(keys.alive(vehicle, "recorder")):
                 return
             time.sleep(ROUTER_POLL_S)  # a full link drops question or answer: it is put again

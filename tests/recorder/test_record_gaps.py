@@ -13,7 +13,7 @@ from tramstream.bus import Envelope
 from tramstream.clock import S
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendAnswer, ResendRequest
-from tramstream.recorder.gaps import AGAIN_NS, GapBook
+from tramstream.recorder.gaps import AGAIN_NS, ORPHANED_NS, GapBook
 from tramstream.recorder.layout import Entry
 from tramstream.recorder.previous import summarise
 from tramstream.resend import History
@@ -265,6 +265,49 @@ def test_what_a_restarted_recorder_cannot_have_is_named_with_its_cause() -> None
     world.check()
     assert {loss.cause for loss in world.losses} == {Loss.ABSENT}
     assert world.book.total == sum(loss.count for loss in world.losses) > 40
+
+
+def holed_record_of_a_publisher_that_is_gone() -> World:
+    """A recorder dies with a hole, and its publisher with it."""
+    world = World()
+    for _ in range(6):
+        world.publish(TOPICS[0])
+    world.deliver()
+    world.lose()
+    world.lose()
+    while world.flying:
+        world.deliver()
+    assert world.book.holes == 1
+    world.restart_recorder()
+    return world
+
+
+def test_hole_that_nobody_living_can_fill_is_named() -> None:
+    world = holed_record_of_a_publisher_that_is_gone()
+    world.publisher = Publisher(2, world, 10_000)
+    world.publish(TOPICS[0])
+    world.deliver()
+    assert world.book.give_up(world.now_ns) == []
+    world.losses += world.book.give_up(world.now_ns + ORPHANED_NS + S)
+    assert [(loss.cause, loss.count) for loss in world.losses] == [(Loss.ABSENT, 2)]
+    world.check()
+    assert world.book.give_up(world.now_ns, at_once=True) == []
+
+
+def test_publisher_that_counts_on_for_a_dead_one_hides_nothing() -> None:
+    """As the processors do, whose numbers are part of their memory."""
+    world = holed_record_of_a_publisher_that_is_gone()
+    for _ in range(3):
+        world.publish(TOPICS[0])
+    world.flying.clear()
+    dead, world.publisher = world.publisher, Publisher(2, world, 10_000)
+    world.publisher.sequences = dead.sequences
+    world.publish(TOPICS[0])
+    world.deliver()
+    world.end()
+    world.losses += world.book.give_up(world.now_ns + ORPHANED_NS + S)
+    world.check()
+    assert sum(loss.count for loss in world.losses) == 5
 
 
 def test_new_ride_asks_for_nothing_old() -> None:
