@@ -2,7 +2,7 @@
 
 A port opens, reads what there is, notes the arrival on the vehicle clock, and closes. It knows no
 message of the device. Whatever happens to a device becomes a `DeviceError` with one sentence; the
-loop (`tramstream.ports.PortReader`) then opens it again.
+loop (`tramstream.live.ports.PortReader`) then opens it again.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Any
 import serial
 
 from tramstream import keys
-from tramstream.bridges import socketcan
-from tramstream.bridges.adis_folding import fold
-from tramstream.bridges.canframe import (
+from tramstream.bridges.imu.folding import fold
+from tramstream.bridges.odometer import socketcan
+from tramstream.bridges.odometer.frames import (
     ERROR,
     EXTENDED,
     FD,
@@ -37,7 +37,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.config import Odometer, Vehicle
 from tramstream.errors import ConfigError, DeviceError
 from tramstream.keys import Key
-from tramstream.ports import Port
+from tramstream.live.ports import Port
 from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
 WAIT_S = 0.2

@@ -28,10 +28,10 @@ def bench(
     """
     import json
 
-    from tramstream.cli import bench_filter, bench_stages
-    from tramstream.cli.bench_live import bus_round_trip, live_pipeline
-    from tramstream.cli.bench_stages import Figure
-    from tramstream.cli.session import say
+    from tramstream.cli.figures import bench_filter, bench_stages
+    from tramstream.cli.figures.bench_live import bus_round_trip, live_pipeline
+    from tramstream.cli.figures.bench_stages import Figure
+    from tramstream.cli.terminal.session import say
 
     figures: list[Figure] = []
     for name, measure in (bench_stages.STAGES | bench_filter.STAGES).items():
@@ -39,7 +39,7 @@ def bench(
             say(f"{name} …")
             figures += bench_stages.ubx(ubx) if name == "ubx" else measure()
     if net is not None and only in "map":
-        from tramstream.cli import bench_map
+        from tramstream.cli.figures import bench_map
 
         say("map …")
         figures += bench_map.measure(net)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tramstream.cli.options import (
+from tramstream.cli.terminal.options import (
     FileOption,
     Format,
     FormatOption,
@@ -35,11 +35,11 @@ def bw(
     """
     from typing import Any
 
-    from tramstream.cli.columns import number, scaled
-    from tramstream.cli.look import look
-    from tramstream.cli.session import stop_on_signals
-    from tramstream.cli.stats import Figures, KeyStats
-    from tramstream.cli.survey import Sheet, survey
+    from tramstream.cli.monitor.source import look
+    from tramstream.cli.monitor.stats import Figures, KeyStats
+    from tramstream.cli.monitor.survey import Sheet, survey
+    from tramstream.cli.terminal.session import stop_on_signals
+    from tramstream.wording import number, scaled
 
     def cells(stats: KeyStats, of: Figures) -> list[str]:
         return [

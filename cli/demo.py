@@ -36,11 +36,12 @@ def demo(
     import time
     from dataclasses import asdict
 
-    from tramstream.cli import fleet
-    from tramstream.cli.session import say, stop_on_signals
+    from tramstream.cli.terminal.demo_vehicle import configuration
+    from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.config import load
     from tramstream.errors import ConfigError, DamagedRecordError
-    from tramstream.supervisor import Plan
+    from tramstream.supervision import vehicle as fleet
+    from tramstream.supervision.supervisor import Plan
 
     target = out or Path(time.strftime("demo-%Y%m%dT%H%M%S.mcap"))
     if target.exists():
@@ -61,7 +62,7 @@ def demo(
         )
     shutil.move(parts[0], target)
     shutil.rmtree(folder, ignore_errors=True)  # not before the record is in its place
-    from tramstream.cli.demo_report import summarise  # numpy, only now that the ride is over
+    from tramstream.analysis.evaluate.demo import summarise  # numpy, only now that the ride is over
 
     report = summarise(target)
     if json_:
@@ -75,49 +76,12 @@ def demo(
         )
 
 
-def configuration(folder: Path, seed: int) -> str:
-    """The demo's vehicle configuration: like a real one, with simulated devices."""
-    from importlib.resources import files
-
-    dbc = files("tramstream") / "data" / "tram.dbc"
-    return f"""\
-vehicle = "demo"
-
-[bus]
-runtime_dir = "{folder}/run"
-
-[gnss]
-device = "{folder}/ride.gnss"
-
-[imu]
-device = "{folder}/ride.imu"
-
-[odometer]
-interface = "slcan"
-channel = "{folder}/ride.can"
-dbc = "{dbc}"
-wheels.left = {{ message = "WHEELS", signal = "PULSES_LEFT", kind = "pulses" }}
-wheels.right = {{ message = "WHEELS", signal = "PULSES_RIGHT", kind = "pulses" }}
-doors_open = {{ message = "DOORS", signal = "DOORS_OPEN" }}
-motor_force_n = {{ message = "DRIVE", signal = "MOTOR_FORCE" }}
-
-[recorder]
-directory = "{folder}/records"
-split_s = 1e6
-
-[simulators.ride]
-kind = "ride"
-link = "{folder}/ride"
-seed = {seed}
-"""
-
-
 def _watch(run: Any, stop: Any, duration_s: float, headless: bool) -> None:
     """Let the ride run, with the live screen or a line every ten seconds."""
     import sys
     import time
 
-    from tramstream.cli.session import say
+    from tramstream.cli.terminal.session import say
 
     begin_s = time.monotonic()
     said = 0

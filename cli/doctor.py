@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tramstream.cli.options import JsonOption
+from tramstream.cli.terminal.options import JsonOption
 from tramstream.shown import shown
 
 if TYPE_CHECKING:
-    from tramstream.cli.checkup import Finding
+    from tramstream.cli.checks.machine import Finding
 
 
 def doctor(
@@ -30,8 +30,8 @@ def doctor(
     import sys
     from dataclasses import asdict
 
-    from tramstream.cli.checkup import State
-    from tramstream.cli.look import line
+    from tramstream.cli.checks.machine import State
+    from tramstream.cli.monitor.source import line
 
     found: list[Finding] = []
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
@@ -52,33 +52,33 @@ def doctor(
 
 def _findings(config: Path | None) -> Iterator[Finding]:
     """All checks, one after the other, so that each line shows as soon as it is known."""
-    from tramstream.cli import checkup, checkup_devices
+    from tramstream.cli.checks import devices, machine
     from tramstream.config import Recorder, Vehicle, default_runtime_dir, load
     from tramstream.errors import ConfigError
 
-    yield from checkup.check_python()
-    yield from checkup.check_processor()
-    yield from checkup.check_rights()
+    yield from machine.check_python()
+    yield from machine.check_processor()
+    yield from machine.check_rights()
     vehicle: Vehicle | None = None
     if config is not None:
         try:
             vehicle = load(config)
-            yield checkup.ok("configuration", f"{config}: vehicle {vehicle.vehicle}")
+            yield machine.ok("configuration", f"{config}: vehicle {vehicle.vehicle}")
         except ConfigError as error:
-            yield checkup.from_error("configuration", error)
+            yield machine.from_error("configuration", error)
     folder = vehicle.runtime_dir if vehicle is not None else default_runtime_dir()
-    yield from checkup.check_runtime_dir(folder)
-    found, alive = checkup.check_bus(folder)
+    yield from machine.check_runtime_dir(folder)
+    found, alive = machine.check_bus(folder)
     yield from found
-    yield from checkup.check_clock(folder)
+    yield from machine.check_clock(folder)
     recorder = vehicle.recorder if vehicle is not None else Recorder()
-    yield from checkup.check_disk(recorder)
-    yield from checkup_devices.check_serial()
-    yield from checkup_devices.check_can_interfaces()
+    yield from machine.check_disk(recorder)
+    yield from devices.check_serial()
+    yield from devices.check_can_interfaces()
     if vehicle is not None and vehicle.map is not None:
-        yield checkup.check_map(vehicle.map)
+        yield machine.check_map(vehicle.map)
     if vehicle is not None:
-        yield from checkup_devices.check_vehicle(vehicle, alive)
+        yield from devices.check_vehicle(vehicle, alive)
 
 
 def _text(finding: Finding, width: int) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tramstream.cli.options import (
+from tramstream.cli.terminal.options import (
     FileOption,
     Format,
     FormatOption,
@@ -16,8 +16,8 @@ from tramstream.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from tramstream.bus import Envelope
-    from tramstream.cli.look import Source
+    from tramstream.cli.monitor.source import Source
+    from tramstream.transport.bus import Envelope
 
 
 def echo(
@@ -32,9 +32,9 @@ def echo(
     ] = False,
 ) -> None:
     """Print messages as they come, or as they stand in a file; json: one object a line."""
-    from tramstream.cli.look import LiveSource, Waiting, look
-    from tramstream.cli.session import say, stop_on_signals
-    from tramstream.cli.stats import Sequence
+    from tramstream.cli.monitor.source import LiveSource, Waiting, look
+    from tramstream.cli.monitor.stats import Sequence
+    from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.shown import shown
 
     as_json = json_ or format_ is Format.json
@@ -66,8 +66,8 @@ def echo(
 
 
 def _as_json(source: Source, envelope: Envelope) -> str:
-    from tramstream.cli.look import line
-    from tramstream.cli.readable import stamp_ns
+    from tramstream.cli.monitor.readable import stamp_ns
+    from tramstream.cli.monitor.source import line
     from tramstream.plain import to_dict
 
     message = source.decode(envelope)
@@ -84,7 +84,7 @@ def _as_json(source: Source, envelope: Envelope) -> str:
 
 
 def _as_text(source: Source, envelope: Envelope, full: bool) -> str:
-    from tramstream.cli.readable import SHOWN_BYTES, iso, readable, stamp_ns
+    from tramstream.cli.monitor.readable import SHOWN_BYTES, iso, readable, stamp_ns
     from tramstream.shown import shown
 
     message = source.decode(envelope)

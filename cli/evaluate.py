@@ -37,14 +37,15 @@ def evaluate(
 
     from rich.console import Console
 
-    from tramstream import evaluation
-    from tramstream.cli.evaluate_figures import flat, flat_summary, judge, terms_of
-    from tramstream.cli.evaluate_source import gather
+    from tramstream.analysis.evaluate import errors as evaluation
+    from tramstream.analysis.evaluate.judgement import flat, flat_summary, judge, terms_of
+    from tramstream.analysis.evaluate.source import gather
+    from tramstream.cli.terminal.session import say
     from tramstream.errors import DamagedRecordError, RecordError
     from tramstream.shown import shown
 
     with Console(stderr=True).status(shown(str(file))):
-        found = gather(file, truth, estimate)
+        found = gather(file, truth, estimate, say)
         terms = terms_of(found.vehicle, found.origin_ns, skip_s, outage_s)
         of = {
             path.rsplit("/", 1)[1]: judge(states, found.truth, found.fixes, terms)
@@ -70,7 +71,7 @@ def evaluate(
             figures |= {f"gnss_{k}": value for k, value in flat_summary(gnss).items()}
         print(json.dumps(figures))
     else:
-        from tramstream.cli.evaluate_tables import print_judgements
+        from tramstream.cli.figures.evaluate_tables import print_judgements
 
         print_judgements(of, gnss, terms, f"{file}: {key} against {found.truth_name}")
     if found.damaged:

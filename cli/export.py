@@ -48,7 +48,7 @@ def _csv(record: Record, out: Path, key: str) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
-    from tramstream.recorder.tables import export_csv
+    from tramstream.recorder.csv_tables import export_csv
     from tramstream.shown import shown
 
     with Progress(console=Console(stderr=True), transient=True) as progress:
@@ -61,7 +61,7 @@ def _geojson(record: Record, out: Path) -> None:
     import json
     import os
 
-    from tramstream.recorder.track import geojson
+    from tramstream.recorder.geojson import geojson
 
     unfinished = out.with_name(out.name + ".part")
     unfinished.write_text(json.dumps(geojson(record)), encoding="utf-8")

@@ -61,9 +61,9 @@ def import_(
     """
     import json
 
-    from tramstream.cli.import_sources import Imports
-    from tramstream.cli.import_tables import Tables, parse_cut
-    from tramstream.cli.session import make_room, say
+    from tramstream.analysis.tables.captures import Imports
+    from tramstream.analysis.tables.tables import Tables, parse_cut
+    from tramstream.cli.terminal.session import make_room, say
     from tramstream.errors import ConfigError
 
     if ubx is not None and nmea is not None:

@@ -25,7 +25,7 @@ def init(
     """
     from importlib.resources import files
 
-    from tramstream.cli.session import say
+    from tramstream.cli.terminal.session import say
     from tramstream.errors import ConfigError
 
     config, dbc = folder / CONFIG_NAME, folder / DBC_NAME

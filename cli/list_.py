@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tramstream.cli.options import FileOption, Format, FormatOption, JsonOption, VehicleOption
+from tramstream.cli.terminal.options import (
+    FileOption,
+    Format,
+    FormatOption,
+    JsonOption,
+    VehicleOption,
+)
 
 if TYPE_CHECKING:
-    from tramstream.cli.look import FileSource, LiveSource
+    from tramstream.cli.monitor.source import FileSource, LiveSource
 
 LISTEN_S = 1.5
 """Sees everything that comes once a second."""
@@ -36,9 +42,10 @@ def list_(
     import shutil
     import sys
 
-    from tramstream.cli.columns import aligned, number
-    from tramstream.cli.look import FileSource, LiveSource, line, look
-    from tramstream.cli.session import stop_on_signals
+    from tramstream.cli.monitor.source import FileSource, LiveSource, line, look
+    from tramstream.cli.terminal.columns import aligned
+    from tramstream.cli.terminal.session import stop_on_signals
+    from tramstream.wording import number
 
     stop = stop_on_signals()
     with look(key, file, vehicle) as source:
@@ -69,7 +76,7 @@ def _on_bus(source: LiveSource, stop: Any, listen_s: float) -> list[dict[str, An
     """What came within `listen_s` or until `stop`."""
     import time
 
-    from tramstream.cli.stats import Stats
+    from tramstream.cli.monitor.stats import Stats
 
     stats = Stats(listen_s)
     end_s = time.monotonic() + listen_s
@@ -95,7 +102,7 @@ def _on_bus(source: LiveSource, stop: Any, listen_s: float) -> list[dict[str, An
 
 def _in_file(source: FileSource) -> list[dict[str, Any]]:
     """What the record's channels say."""
-    from tramstream.cli.stats import KeyStats, order
+    from tramstream.cli.monitor.stats import KeyStats, order
     from tramstream.clock import S
 
     duration_s = (source.record.end_ns - source.record.start_ns) / S

@@ -15,9 +15,10 @@ from typing import Any, NoReturn
 
 import typer
 
-from tramstream import __version__, zenoh_threads
+from tramstream import __version__
 from tramstream.errors import TramstreamError
 from tramstream.shown import shown
+from tramstream.transport import zenoh_threads
 
 LEAVE_S = 1.0
 INTERRUPTED = 130

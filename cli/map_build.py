@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from tramstream.network import Network
-    from tramstream.network_build import Options
-    from tramstream.network_report import Report
-    from tramstream.osm import Extract
+    from tramstream.mapping.build import Options
+    from tramstream.mapping.osm import Extract
+    from tramstream.mapping.survey import Report
+    from tramstream.tracks.network import Network
 
 SHOWN = 5
 """Findings of each kind that people see; --json has all."""
@@ -75,7 +75,7 @@ def build(
 
     from tramstream.errors import ConfigError
     from tramstream.geodesy import PRAGUE_GEOID_M
-    from tramstream.network_build import Options
+    from tramstream.mapping.build import Options
 
     began_s = time.perf_counter()
     given = [*sources, *(elevation or ()), *(lines or ())]
@@ -96,10 +96,12 @@ def _write(sources: list[Path], options: Options, lines: list[Path], out: Path) 
     from dataclasses import replace
     from datetime import UTC, datetime
 
-    from tramstream import network_build, network_lines, osm
     from tramstream.errors import ConfigError
+    from tramstream.mapping import build as network_build
+    from tramstream.mapping import extract as extracts
+    from tramstream.mapping import lines as network_lines
 
-    extract = osm.read(sources)
+    extract = extracts.read(sources)
     network, report = network_build.build(extract, options)
     network = network_lines.place_stops(network, extract)
     network, told = _with_lines(network, extract, lines)
@@ -115,7 +117,8 @@ def _with_lines(
     network: Network, extract: Extract, files: list[Path]
 ) -> tuple[Network, tuple[str, ...]]:
     """Lay lines from files, or those of the extract; and what is odd about them."""
-    from tramstream import line_requests, network_lines
+    from tramstream.mapping import line_requests
+    from tramstream.mapping import lines as network_lines
 
     told: tuple[str, ...] = ()
     if files:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from tramstream.network import Network
+    from tramstream.tracks.network import Network
 
 
 def info(
@@ -26,11 +26,11 @@ def info(
     import json
     import time
 
-    from tramstream.network import load
     from tramstream.shown import shown_json
+    from tramstream.tracks.network import load
 
     if out is not None:
-        from tramstream.cli.page_file import make_place
+        from tramstream.cli.terminal.page_file import make_place
 
         make_place(out, [net], overwrite)
     started_s = time.perf_counter()
@@ -40,8 +40,8 @@ def info(
     figures: dict[str, Any] = {"file": str(net), "size_bytes": size_bytes, "loading_s": loading_s}
     figures |= describe(network)
     if out is not None:
-        from tramstream.cli.map_info_page import compose
-        from tramstream.cli.page_file import write
+        from tramstream.analysis.report.map_info_page import compose
+        from tramstream.cli.terminal.page_file import write
 
         write(out, compose(network, net.name, figures))
         figures["out"] = str(out)
@@ -88,41 +88,6 @@ def describe(network: Network) -> dict[str, Any]:
     }
 
 
-def facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    """Name and value of each figure, for people."""
-    height = figures["height_share"]
-    return [
-        ("built from", figures["source"]),
-        ("size", f"{figures['size_bytes'] / 1e6:.2f} MB, loaded in {figures['loading_s']:.2f} s"),
-        ("tracks", f"{figures['tracks']}, {figures['track_m'] / 1000:.1f} km"),
-        ("edges", f"{figures['edges']} directed, {figures['edge_m'] / 1000:.1f} km"),
-        ("nodes", f"{figures['nodes']}, {figures['switches']} of them switches"),
-        ("parallel", f"{figures['parallel_share']:.1%} of the track has another one beside it"),
-        ("node error", f"σ {figures['node_std_m']:.2f} m from the rail, per axis"),
-        ("heights", f"known for {height:.1%} of the track" if height else "none"),
-        ("stops", str(figures["stops"])),
-        ("lines", str(len(figures["lines"]))),
-    ]
-
-
-LINE_HEAD = ("line", "direction", "from", "to", "km", "stops")
-
-
-def line_rows(figures: dict[str, Any]) -> list[tuple[str, str, str, str, float, int]]:
-    """A row of the table of lines for each; see `LINE_HEAD`."""
-    return [
-        (
-            line["line"],
-            line["direction"],
-            line["origin"],
-            line["destination"],
-            line["length_m"] / 1000,
-            line["stops"],
-        )
-        for line in figures["lines"]
-    ]
-
-
 def _print(figures: dict[str, Any]) -> None:
     import sys
 
@@ -130,10 +95,11 @@ def _print(figures: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from tramstream.analysis.report.network_tables import LINE_HEAD, line_rows, network_facts
     from tramstream.shown import shown
 
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for name, value in [("file", figures["file"]), *facts(figures)]:
+    for name, value in [("file", figures["file"]), *network_facts(figures)]:
         console.print(f"{name:<12}{shown(value)}", markup=False, highlight=False, soft_wrap=True)
     if figures["lines"]:
         table = Table(box=None, pad_edge=False, header_style="bold")

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from tramstream.cli.match_source import Source
-    from tramstream.linear_reference import References
-    from tramstream.network import Network
-    from tramstream.processors.matching_offline import Leg
+    from tramstream.analysis.studies.match_source import Source
+    from tramstream.processors.matching.offline import Leg
+    from tramstream.tracks.linear_reference import References
+    from tramstream.tracks.network import Network
 
 
 def match(
@@ -35,11 +35,12 @@ def match(
 
     from rich.console import Console
 
-    from tramstream.cli.match_source import match as match_file
-    from tramstream.cli.page_file import make_place
-    from tramstream.linear_reference import references
-    from tramstream.network import load
+    from tramstream.analysis.studies.match_source import match as match_file
+    from tramstream.cli.terminal.page_file import make_place
+    from tramstream.cli.terminal.session import say
     from tramstream.shown import shown, shown_json
+    from tramstream.tracks.linear_reference import references
+    from tramstream.tracks.network import load
 
     for target, option in ((out, "--out"), (csv, "--csv")):
         if target is not None:
@@ -47,11 +48,11 @@ def match(
     network = load(net)
     known = references(network)
     with Console(stderr=True).status(shown(str(file))):
-        source = match_file(file, network, net)
+        source = match_file(file, network, net, say)
         figures = {"file": str(file), "net": str(net), **describe(network, known, source)}
         if out is not None:
-            from tramstream.cli.map_match_page import compose
-            from tramstream.cli.page_file import write
+            from tramstream.analysis.report.map_match_page import compose
+            from tramstream.cli.terminal.page_file import write
 
             write(out, compose(network, source, figures))
             figures["out"] = str(out)
@@ -94,7 +95,7 @@ def describe(network: Network, known: References, source: Source) -> dict[str, A
 
 def _nowhere(network: Network, source: Source) -> str:
     """Tell how far from all tracks a ride was that was on none."""
-    from tramstream.rails import Search
+    from tramstream.tracks.rails import Search
 
     east, north = source.plan[len(source.plan) // 2]
     away_m = Search(network).away_m(float(east), float(north))
@@ -157,39 +158,6 @@ def _covered(legs: list[dict[str, Any]]) -> dict[tuple[str, str], float]:
 
 
 # Tables -------------------------------------------------------------------------------------------
-LEG_HEAD = ("entered", "run", "from, m", "to, m", "probability", "on the line")
-
-
-def leg_rows(figures: dict[str, Any]) -> list[tuple[str, str, str, str, str, str]]:
-    """A row for each run of the path; see `LEG_HEAD`."""
-    rows = []
-    for leg in figures["path"]:
-        if leg["edge"] is None:
-            rows.append((leg["entered"], "off the map", "", "", "", ""))
-            continue
-        ends = f"{leg['from_m']:.1f}", f"{leg['to_m']:.1f}"
-        lines = "; ".join(
-            f"{each['line']}/{each['direction']} {round(each['from_m'])}–{round(each['to_m'])} m"
-            for each in leg["lines"][:2]
-        )
-        rows.append((leg["entered"], leg["edge"], *ends, f"{leg['probability']:.3f}", lines))
-    return rows
-
-
-def facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    """Name and value of each figure, for people."""
-    across = figures["across_rms_m"]
-    told = [
-        ("matched", figures["matched"]),
-        ("duration", f"{figures['duration_s']:.1f} s"),
-        ("on track", f"{figures['on_track_share']:.1%} of the time, {figures['length_m']:.0f} m"),
-    ]
-    if across is not None:
-        text = f"RMS {across:.2f} m, 95 % within {figures['across_p95_m']:.2f} m"
-        told.append(("across", f"{text} of the track"))
-    return told + [("note", each) for each in figures["notes"]]
-
-
 def _print(figures: dict[str, Any]) -> None:
     import sys
 
@@ -197,10 +165,11 @@ def _print(figures: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from tramstream.analysis.report.network_tables import LEG_HEAD, leg_rows, match_facts
     from tramstream.shown import shown
 
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for name, value in facts(figures):
+    for name, value in match_facts(figures):
         console.print(f"{name:<10}{shown(value)}", markup=False, highlight=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in LEG_HEAD:
@@ -218,7 +187,7 @@ def _write_csv(target: Path, network: Network, known: References, source: Source
 
     import numpy as np
 
-    from tramstream.cli.network_drawing import plan_at
+    from tramstream.analysis.report.network_drawing import plan_at
     from tramstream.shown import cell
 
     plan = [

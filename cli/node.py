@@ -15,9 +15,10 @@ def node(
     config: Annotated[Path, typer.Argument(help="Vehicle configuration.")],
 ) -> None:
     """Run one node."""
-    from tramstream import machine_code, registry
-    from tramstream.cli.session import say, stop_on_signals
-    from tramstream.process import run_node
+    from tramstream import machine_code
+    from tramstream.cli.terminal.session import say, stop_on_signals
+    from tramstream.live import registry
+    from tramstream.supervision.process import run_node
 
     stop = stop_on_signals()
     if name in (registry.PROCESSORS, *registry.names("processors")):

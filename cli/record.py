@@ -27,7 +27,7 @@ def record(
 
     import msgspec
 
-    from tramstream.cli.session import client, say, stop_on_signals, vehicle_on
+    from tramstream.cli.terminal.session import client, say, stop_on_signals, vehicle_on
     from tramstream.config import RECORD_ENTRY, Recorder, load, to_json
     from tramstream.recorder.node import RecorderNode
 

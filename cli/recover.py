@@ -27,8 +27,8 @@ def recover(
     from dataclasses import asdict
 
     from tramstream.errors import DamagedRecordError, RecordError
-    from tramstream.recorder.recover import recover as save
-    from tramstream.recorder.repair import repair
+    from tramstream.recorder.file.recover import recover as save
+    from tramstream.recorder.file.repair import repair
     from tramstream.shown import shown
 
     if file.is_dir():

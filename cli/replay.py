@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from tramstream.bus import Bus, ZenohBus
+    from tramstream.transport.bus import Bus, ZenohBus
 
 
 def replay(
@@ -49,8 +49,8 @@ def replay(
     from contextlib import ExitStack
 
     from tramstream import config, keys
-    from tramstream.cli.keyboard import Keyboard
-    from tramstream.cli.session import say, stop_on_signals
+    from tramstream.cli.terminal.keyboard import Keyboard
+    from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.clock import S
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
@@ -85,8 +85,8 @@ def replay(
 
 def replay_bus(runtime_dir: Path, say: Callable[[str], None]) -> closing[ZenohBus]:
     """A patient session: on the bus that is there, else as the router of a new one."""
-    from tramstream.bus import ZenohBus, router_listens
     from tramstream.clock import VehicleClock
+    from tramstream.transport.bus import ZenohBus, router_listens
 
     clock = VehicleClock.shared(runtime_dir)
     if router_listens(runtime_dir):

@@ -35,9 +35,9 @@ def report(
 
     from rich.console import Console
 
-    from tramstream.cli.report_compose import compose
-    from tramstream.cli.report_source import collect
-    from tramstream.cli.session import make_room
+    from tramstream.analysis.report.compose import compose
+    from tramstream.analysis.report.source import collect
+    from tramstream.cli.terminal.session import make_room, say
     from tramstream.errors import ConfigError, DamagedRecordError
     from tramstream.shown import shown
 
@@ -48,7 +48,7 @@ def report(
     if not out.absolute().parent.is_dir():
         raise ConfigError(f"{out}: its folder does not exist; make it or choose another --out")
     with Console(stderr=True).status(shown(str(file))):
-        material = collect(file, truth, estimate)
+        material = collect(file, truth, estimate, say)
         unfinished = out.with_name(out.name + ".part")
         unfinished.write_text(compose(material), encoding="utf-8")
         os.replace(unfinished, out)

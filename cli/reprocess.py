@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from tramstream.recorder.reprocess.compare import Comparison
+    from tramstream.recorder.reprocess.run import Rerun
 
 
 def reprocess(
@@ -40,9 +44,9 @@ def reprocess(
     import time
 
     from tramstream.boundary import left_out
-    from tramstream.cli.session import make_room, say
-    from tramstream.errors import CheckFailedError, ConfigError
-    from tramstream.recorder.rerun import rerun
+    from tramstream.cli.terminal.session import make_room, say
+    from tramstream.errors import ConfigError
+    from tramstream.recorder.reprocess.run import rerun
 
     if late not in ("as-recorded", "accept"):
         raise ConfigError(f"--late {late}: must be as-recorded or accept")
@@ -51,34 +55,13 @@ def reprocess(
     make_room(out, [file], overwrite)
     started_s = time.perf_counter()
     result = rerun(file, out, config, check, fresh or late == "accept", smooth)
-    elapsed_s = time.perf_counter() - started_s
-    comparison = result.comparison
-    figures: dict[str, Any] = {
-        "file": str(file),
-        "out": str(out),
-        "outputs": result.outputs,
-        "smoothed": result.smoothed,
-        "sessions": result.sessions,
-        "duration_s": result.duration_s,
-        "elapsed_s": elapsed_s,
-        "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
-        "inputs_missing": result.missing,
-        "undecodable": result.undecodable,
-    }
-    if comparison is not None:
-        figures |= {
-            "identical": result.identical,
-            "compared": comparison.compared,
-            "unrecorded": comparison.unrecorded,
-            "unanchored": comparison.unanchored,
-            "difference_count": comparison.difference_count,
-            "differences": comparison.differences,
-        }
+    figures = {"file": str(file), "out": str(out)}
+    figures |= _figures(result, time.perf_counter() - started_s)
     if json_:
         print(json.dumps(figures))
     else:
         say(
-            f"{file}: {result.duration_s:.1f} s in {elapsed_s:.2f} s "
+            f"{file}: {result.duration_s:.1f} s in {figures['elapsed_s']:.2f} s "
             f"({figures['speed']:.0f} times real time), {result.outputs} outputs to {out}"
         )
     if result.without_map:
@@ -90,9 +73,47 @@ def reprocess(
         say(f"{file}: {left_out_}, as live")
     for path, count in result.missing.items():
         say(f"{path}: {count} messages that the live processors read are not in the record")
-    if comparison is None:
-        return
-    if not json_:
+    if result.comparison is not None:
+        _judge(file, result, result.comparison, not json_)
+
+
+def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
+    """What a run came to, by name."""
+    figures: dict[str, Any] = {
+        "outputs": result.outputs,
+        "smoothed": result.smoothed,
+        "sessions": result.sessions,
+        "duration_s": result.duration_s,
+        "elapsed_s": elapsed_s,
+        "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
+        "inputs_missing": result.missing,
+        "undecodable": result.undecodable,
+    }
+    comparison = result.comparison
+    if comparison is not None:
+        figures |= {
+            "identical": result.identical,
+            "compared": comparison.compared,
+            "unrecorded": comparison.unrecorded,
+            "unanchored": comparison.unanchored,
+            "difference_count": comparison.difference_count,
+            "differences": comparison.differences,
+        }
+    return figures
+
+
+def _judge(file: Path, result: Rerun, comparison: Comparison, aloud: bool) -> None:
+    """Say how outputs made again compare with those recorded live.
+
+    Raises
+    ------
+    CheckFailedError
+        If they are not the same.
+    """
+    from tramstream.cli.terminal.session import say
+    from tramstream.errors import CheckFailedError
+
+    if aloud:
         verdict = "identical" if result.identical else "different"
         print(f"{verdict}: {comparison.compared} outputs compared")
     if comparison.unrecorded or comparison.unanchored:

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from tramstream.cli.figures.options import Options
+
 WORKS = ("konecny2004", "kaspar2023", "drives", "matching")
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the command line said; each work takes what concerns it."""
-
-    seed: int | None
-    seeds: int | None
-    lines: tuple[str, ...]
-    duration_s: float | None
-    json: bool
-    data: Path | None = None
-    mappings: Path | None = None
-    kinds: tuple[str, ...] = ()
-    network: Path | None = None
-    detours: int | None = None
 
 
 def reproduce(
@@ -85,4 +71,4 @@ def reproduce(
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours)
-    import_module(f"tramstream.cli.reproduce_{name}").reproduce(options)
+    import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

@@ -27,12 +27,12 @@ def run(
     import os
     import sys
 
-    from tramstream.cli import fleet
-    from tramstream.cli.session import say, stop_on_signals
+    from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.config import load
     from tramstream.errors import DamagedRecordError
-    from tramstream.roster import REST
-    from tramstream.supervisor import Plan
+    from tramstream.supervision import vehicle as fleet
+    from tramstream.supervision.roster import REST
+    from tramstream.supervision.supervisor import Plan
 
     vehicle = load(config)
     # -P: what lies in the folder where somebody stood is no part of the program.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from tramstream.line import Line
-    from tramstream.simulation import Simulation
+    from tramstream.lines.line import Line
+    from tramstream.simulation.simulation import Simulation
 
 PROGRESS_S = 2.0
 
@@ -44,9 +44,9 @@ def simulate(
     import json
     import time
 
-    from tramstream import scenario as scenarios
-    from tramstream.cli.session import make_room, say, stop_on_signals
-    from tramstream.simulation import Simulation
+    from tramstream.cli.terminal.session import make_room, say, stop_on_signals
+    from tramstream.simulation import scenario as scenarios
+    from tramstream.simulation.simulation import Simulation
 
     source = Path(line.partition("#")[0])
     make_room(
@@ -74,17 +74,17 @@ def simulate(
 
 def _line(source: str, geoid_m: float, say: Any) -> Line:
     """The built-in line, or one from a map."""
-    from tramstream.line import built_in_line
+    from tramstream.lines.line import built_in_line
 
     if not source:
         return built_in_line()
-    from tramstream import line_geojson
+    from tramstream.lines import geojson
 
-    mapped = line_geojson.read(source, geoid_m)
-    line = line_geojson.lay(mapped)
+    mapped = geojson.read(source, geoid_m)
+    line = geojson.lay(mapped)
     say(
         f"{source}: {line.length_m:.0f} m, {len(line.stops_m)} stops; the smooth line is at most "
-        f"{line_geojson.deviation_m(mapped, line):.2f} m beside the map's"
+        f"{geojson.deviation_m(mapped, line):.2f} m beside the map's"
     )
     return line
 
@@ -97,8 +97,8 @@ def _write(
 
     from tramstream import config
     from tramstream.clock import S
-    from tramstream.recorder.writer import RecordFile
-    from tramstream.simulation import EPOCH_NS
+    from tramstream.recorder.file.writer import RecordFile
+    from tramstream.simulation.simulation import EPOCH_NS
 
     vehicle = ride.vehicle.vehicle
     metadata = {config.RECORD_ENTRY: config.to_json(ride.vehicle)}
@@ -127,7 +127,7 @@ def _write(
 def _with_locations(ride: Simulation) -> Iterator[Any]:
     """Samples of the ride, and with each valid fix its location, as the bridge does."""
     from tramstream import keys
-    from tramstream.bridges.gnss_messages import location
+    from tramstream.bridges.gnss.messages import location
     from tramstream.processor import Sample, stamp
 
     sequence = 0

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tramstream.cli.options import JsonOption, VehicleOption
+from tramstream.cli.terminal.options import JsonOption, VehicleOption
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from tramstream.bus import Bus
-    from tramstream.cli.stats import Stats
+    from tramstream.cli.monitor.stats import Stats
+    from tramstream.transport.bus import Bus
 
 LISTEN_S = 2.5
 """Two heartbeats of each node: its processor share is told by their difference."""
@@ -40,8 +40,8 @@ def top(
     """
     import sys
 
-    from tramstream.cli import session
-    from tramstream.cli.keyboard import Keyboard
+    from tramstream.cli.terminal import session
+    from tramstream.cli.terminal.keyboard import Keyboard
 
     stop = session.stop_on_signals()
     with session.client() as bus:
@@ -60,9 +60,9 @@ class Watch:
 
     def __init__(self, bus: Bus, vehicle: str) -> None:
         from tramstream import keys
-        from tramstream.bus import Envelope
-        from tramstream.cli.stats import Stats
-        from tramstream.ring import Ring
+        from tramstream.cli.monitor.stats import Stats
+        from tramstream.transport.bus import Envelope
+        from tramstream.transport.ring import Ring
 
         self.vehicle = vehicle
         self.stats: Stats = Stats(WINDOW_S)
@@ -87,8 +87,8 @@ def render(
     stats: Stats, vehicle: str, now_ns: int, title: str = "", height: int = 0
 ) -> RenderableType:
     """The screen of `vehicle` at `now_ns`; with a `height` no more lines than that."""
-    from tramstream.cli.board import board
-    from tramstream.cli.screen import Screen
+    from tramstream.cli.monitor.board import board
+    from tramstream.cli.monitor.screen import Screen
 
     return Screen(board(stats, vehicle, now_ns), title, height)
 
@@ -132,8 +132,8 @@ def _once(watch: Watch, wait: Callable[[float], object], listen_s: float, as_jso
 
     from rich.console import Console
 
-    from tramstream.cli.board import board
-    from tramstream.cli.look import line
+    from tramstream.cli.monitor.board import board
+    from tramstream.cli.monitor.source import line
 
     wait(listen_s)
     now_ns = watch.update()

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from queue import SimpleQueue
 
-from tramstream.bus import Bus
+from tramstream.transport.bus import Bus
 
 ASK_TIMEOUT_S = 1.0
 """A publisher that stands still answers nobody; the others wait no longer for it."""

@@ -14,12 +14,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from tramstream.bus import Envelope
 from tramstream.clock import S
-from tramstream.losses import LossCounter
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendRequest, ResendStretch, ResentStretch
 from tramstream.recorder.previous import NOTHING, Previous, Remembered
+from tramstream.transport.bus import Envelope
+from tramstream.transport.losses import LossCounter
 
 AGAIN_NS = (S // 4, S // 2, S, S, S, S, 2 * S, 2 * S, 2 * S, 2 * S)
 """Pauses between questions that nobody answers; after the last a hole is given up. They count only

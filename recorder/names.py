@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tramstream.clock import S
-from tramstream.recorder.storage import DISK, MODE, Storage
+from tramstream.recorder.file.storage import DISK, MODE, Storage
 
 BOOT_FILE = ".boot"
 UTC_OFFSET = "utc_offset_ns"

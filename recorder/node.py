@@ -16,20 +16,20 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import config, keys
 from tramstream.boundary import Undecodable, decode
-from tramstream.bus import Bus, Envelope
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
-from tramstream.header import is_possible
 from tramstream.keys import Key
-from tramstream.node import Node
+from tramstream.live.node import Node
 from tramstream.processor import Ledger
 from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendAnswer
 from tramstream.recorder.asker import Asker
-from tramstream.recorder.disk import Recording
 from tramstream.recorder.gaps import GapBook
 from tramstream.recorder.previous import remember
+from tramstream.recorder.recording import Recording
+from tramstream.transport.bus import Bus, Envelope
+from tramstream.transport.header import is_possible
 
 NAME = "recorder"
 ASK_S = 0.05

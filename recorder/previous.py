@@ -13,9 +13,9 @@ from tramstream.boundary import Undecodable, decode
 from tramstream.clock import S
 from tramstream.errors import RecordError
 from tramstream.proto.health_pb2 import Loss
-from tramstream.recorder.files import File, open_file
+from tramstream.recorder.file.opened import File, open_file
 from tramstream.recorder.reader import Entry, Record
-from tramstream.resend import SPAN_S
+from tramstream.transport.resend import SPAN_S
 
 FILES = 64
 """Of the newest files, so many are looked at."""

@@ -1,9 +1,9 @@
 """Read records: one file, several parts, a whole folder; finished, still written or damaged.
 
 `open_record` reads the summary of a finished file; where there is none, or it is damaged, it walks
-through the file (`tramstream.recorder.scan`). Messages come chunk by chunk with their checksums
-checked, in the order (log_ns, channel_id, sequence), also across chunks and parts whose times
-overlap. What is damaged is left out and stands in `damages`; it is never guessed at. What cannot be
+through the file (`recorder.file.scan`). Messages come chunk by chunk with their checksums checked,
+in the order (log_ns, channel_id, sequence), also across chunks and parts whose times overlap.
+What is damaged is left out and stands in `damages`; it is never guessed at. What cannot be
 decoded is handed out as it is by `messages`, left out by `decoded`, and counted in `undecodable`.
 """
 
@@ -24,11 +24,11 @@ from mcap.records import Schema
 from tramstream import boundary, keys
 from tramstream.boundary import Undecodable
 from tramstream.errors import RecordError
-from tramstream.recorder.files import File, load, open_file, schema_version
-from tramstream.recorder.found import Damage
-from tramstream.recorder.layout import Entry, entries_of
-from tramstream.recorder.merge import in_order
-from tramstream.recorder.sink import ACTIVE
+from tramstream.recorder.file.found import Damage
+from tramstream.recorder.file.layout import Entry, entries_of
+from tramstream.recorder.file.merge import in_order
+from tramstream.recorder.file.opened import File, load, open_file, schema_version
+from tramstream.recorder.file.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from threading import Event
 
 from tramstream import keys
-from tramstream.bus import Bus
 from tramstream.clock import S
 from tramstream.recorder.reader import Entry, Record
+from tramstream.transport.bus import Bus
 
 AHEAD_S = 0.002
 """Messages due within so little time go out at once: sleeping is no finer."""

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from tramstream.recorder.file.sink import reason
 from tramstream.recorder.names import KEEP, PartName, parse
-from tramstream.recorder.sink import reason
 
 _PATIENCE_NS = 60_000_000_000
 """Deleted bytes that somebody still reads come back later; until then nothing else is deleted."""

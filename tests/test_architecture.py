@@ -18,12 +18,21 @@ from tramstream.proto import generate
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PARTS = ("bridges", "processors", "recorder", "cli")
+PARTS = ("bridges", "processors", "recorder", "analysis", "cli")
 """Folders that are installed below `tramstream`; the library is the folder of that name."""
+ALLOWED = {
+    "library": {"library"},
+    "bridges": {"library", "bridges"},
+    "processors": {"library", "processors"},
+    "recorder": {"library", "recorder"},
+    "analysis": {"library", "bridges", "processors", "recorder", "analysis"},
+    "cli": {"library", *PARTS},
+}
+"""What may be imported by whom: arrows point inward, and siblings do not know each other."""
 MAX_LINES = 400
-TABLES = {"bridges/ubx_layouts.py"}
+TABLES = {"bridges/gnss/ubx_layouts.py"}
 """Layouts that mirror a vendor's manual; may be longer."""
-PROCESS_MAINS = {"tramstream/process.py"}
+PROCESS_MAINS = {"tramstream/supervision/process.py"}
 """The main function of a node's process: tells people why it ends, and with which status."""
 
 
@@ -42,7 +51,7 @@ TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 
 
 def part_of(name: str) -> str:
-    """`bridges` of `bridges/imu.py`; `library` of the folder tramstream."""
+    """`bridges` of `bridges/imu/bridge.py`; `library` of the folder tramstream."""
     folder = name.split("/")[0]
     return "library" if folder == "tramstream" else folder
 
@@ -95,8 +104,7 @@ def constants(tree: ast.AST) -> Iterator[ast.Constant]:
 # Directions ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", MODULES)
 def test_arrows_point_inward_only(name: str) -> None:
-    own = part_of(name)
-    allowed = {"library", own} if own != "cli" else {"library", *PARTS}
+    allowed = ALLOWED[part_of(name)]
     for module in imports(name):
         part = imported_part(module)
         assert part is None or part in allowed, f"{name} imports {module}"
@@ -107,7 +115,7 @@ def test_nobody_imports_the_parts_by_their_folders() -> None:
 
 
 def test_only_the_bus_imports_zenoh() -> None:
-    assert importers("zenoh") == {"tramstream/bus.py"}
+    assert importers("zenoh") == {"tramstream/transport/bus.py"}
 
 
 def test_only_the_recorder_imports_mcap() -> None:
@@ -142,6 +150,75 @@ def test_pseudo_terminals_are_made_by_the_simulators_alone() -> None:
     assert makers <= {
         n for n in MODULES if n.startswith("bridges/") and ("simul" in n or "pseudo" in n)
     }
+
+
+# Rooms --------------------------------------------------------------------------------------------
+MOST_MODULES = 20
+ROOMS = {name: str(Path(name).parent) for name in MODULES}
+"""The folder in which a module stands."""
+
+
+def ours(name: str) -> set[str]:
+    """Our modules that a module imports, by path."""
+    return {
+        found
+        for module in imports(name)
+        for piece in (module, module.rpartition(".")[0])
+        if (found := path_of(piece)) is not None and found != name
+    }
+
+
+def path_of(module: str) -> str | None:
+    """The file of a module of ours."""
+    path = module.replace(".", "/") + ".py"
+    for each in (path, path.removeprefix("tramstream/")):
+        if each in MODULES:
+            return each
+    return None
+
+
+def circle(arrows: dict[str, set[str]]) -> list[str]:
+    """One circle of a graph, its first name again at the end; empty where there is none."""
+    done: set[str] = set()
+
+    def follow(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return []
+        for each in sorted(arrows.get(name, ())):
+            if found := follow(each, [*way, name]):
+                return found
+        done.add(name)
+        return []
+
+    return next((found for name in sorted(arrows) if (found := follow(name, []))), [])
+
+
+def test_what_a_circle_is() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+
+
+def test_modules_import_in_no_circle() -> None:
+    assert circle({name: ours(name) for name in MODULES}) == []
+
+
+def test_rooms_import_in_no_circle() -> None:
+    arrows: dict[str, set[str]] = {}
+    for name, room in ROOMS.items():
+        arrows.setdefault(room, set()).update({ROOMS[each] for each in ours(name)} - {room})
+    assert arrows["cli"] >= {"recorder", "tramstream"}
+    assert circle(arrows) == []
+
+
+@pytest.mark.parametrize("room", sorted(set(ROOMS.values())))
+def test_room_says_its_purpose_and_is_not_crowded(room: str) -> None:
+    door = TREES[f"{room}/__init__.py"]
+    assert ast.get_docstring(door), f"{room}/__init__.py says nothing"
+    inside = [name for name, each in ROOMS.items() if each == room and "__init__" not in name]
+    assert room == "cli" or len(inside) <= MOST_MODULES, f"{room}: {len(inside)} modules"
+    assert room.count("/") <= 1, f"{room}: deeper than two levels"
 
 
 # Borders ------------------------------------------------------------------------------------------
@@ -208,14 +285,37 @@ def test_module_fits_in_four_hundred_lines(name: str) -> None:
     assert lines <= MAX_LINES or name in TABLES, f"{name}: {lines} lines"
 
 
+LONGEST_FUNCTION = 60
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_function_fits_in_sixty_lines(name: str) -> None:
+    """Docstrings apart: a table of arguments is no code. Options of a verb are its docstring."""
+    long = {
+        f"{node.name}: {lines}"
+        for node in ast.walk(TREES[name])
+        if isinstance(node, ast.FunctionDef) and (lines := length_of(node)) > LONGEST_FUNCTION
+    }
+    assert not long, f"{name}: {long}"
+
+
+def length_of(function: ast.FunctionDef) -> int:
+    """Lines of a function's body without its docstring, and of nothing else."""
+    body = function.body[1:] if ast.get_docstring(function) else function.body
+    if not body:
+        return 0
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1
+
+
 def test_nothing_is_a_drawer_for_everything() -> None:
     assert not {path.stem for path in MODULES.values()} & {"utils", "helpers", "common", "misc"}
 
 
 # Packaging ----------------------------------------------------------------------------------------
 def folder_of(package: str) -> Path:
-    mapping = PROJECT["tool"]["setuptools"]["package-dir"]
-    return ROOT / mapping.get(package, package.replace(".", "/"))
+    part = package.removeprefix("tramstream.").split(".")[0]
+    path = package.replace(".", "/")
+    return ROOT / (path.removeprefix("tramstream/") if part in PARTS else path)
 
 
 def test_every_package_is_listed_and_exists() -> None:
@@ -235,16 +335,16 @@ def test_every_entry_point_names_a_module_of_ours() -> None:
 
 
 OWN_BYTES = {
-    "bridges/gnss.py",
-    "processors/resampler.py",
-    "processors/tram.py",
-    "processors/tram_search.py",
-    "recorder/apart.py",
+    "bridges/gnss/bridge.py",
+    "processors/resampling/resampler.py",
+    "processors/tram/localiser.py",
+    "processors/tram/heading.py",
+    "recorder/reprocess/parallel.py",
     "recorder/reader.py",
     "tramstream/boundary.py",
-    "tramstream/place.py",
-    "tramstream/resend.py",
-    "tramstream/snapshots.py",
+    "tramstream/estimation/published.py",
+    "tramstream/transport/resend.py",
+    "tramstream/live/snapshots.py",
 }
 """Decode what the same program encoded (memory, pipes, caches), or are the boundary themselves."""
 
@@ -293,8 +393,10 @@ def test_wheel_holds_tramstream_and_nothing_else(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"tramstream"}
-    for package in ("bridges", "processors", "recorder", "cli", "proto"):
-        assert f"tramstream/{package}/__init__.py" in names
+    for package in PROJECT["tool"]["setuptools"]["packages"]:
+        assert f"{package.replace('.', '/')}/__init__.py" in names
+    for path in (ROOT / "analysis" / "report").glob("*.[cj]s*"):
+        assert f"tramstream/{path.relative_to(ROOT)}" in names
     assert "tramstream/py.typed" in names
     for path in (ROOT / "tramstream" / "data").rglob("*.*"):
         assert str(path.relative_to(ROOT)) in names

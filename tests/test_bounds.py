@@ -12,16 +12,19 @@ import numpy as np
 import pytest
 from children import measured
 
-from tramstream import network, network_check
 from tramstream.errors import ConfigError
+from tramstream.tracks import check, network
 
 MORE_MB = 200
 IMPORTS = """
 from pathlib import Path
-from tramstream import config, elevation, line_geojson, line_requests, network, osm
-from tramstream import snapshots, traces
-from tramstream.bridges.dbc import Database
-from tramstream.cli import table_mapping
+from tramstream import config
+from tramstream.analysis.tables import mapping
+from tramstream.lines import geojson, traces
+from tramstream.live import snapshots
+from tramstream.mapping import elevation, extract, line_requests
+from tramstream.tracks import network
+from tramstream.bridges.odometer.dbc import Database
 path = Path(sys.argv[1])
 """
 
@@ -80,7 +83,7 @@ def test_network_that_is_packed_in_a_way_that_takes_memory_is_refused(tmp_path: 
     assert "is no track network" in refused("network.load(path)", path)
 
 
-@pytest.mark.parametrize("name", sorted(network_check.KINDS))
+@pytest.mark.parametrize("name", sorted(check.KINDS))
 def test_network_whose_numbers_point_beyond_what_it_has_is_refused(
     tmp_path: Path, name: str
 ) -> None:
@@ -93,10 +96,10 @@ def test_network_whose_numbers_point_beyond_what_it_has_is_refused(
         wrong.pop()
     if name in ("from_node", "to_node"):
         wrong.pop()
-    arrays = {each: getattr(networks.switch().network, each) for each in network_check.KINDS}
-    assert network_check.doubt_of(arrays) == ""
+    arrays = {each: getattr(networks.switch().network, each) for each in check.KINDS}
+    assert check.doubt_of(arrays) == ""
     for array in wrong:
-        assert network_check.doubt_of({**arrays, name: array}) != ""
+        assert check.doubt_of({**arrays, name: array}) != ""
 
 
 @pytest.mark.parametrize(
@@ -140,17 +143,17 @@ TEXTS = {
     "deep TOML": ("config.load(path)", b'vehicle = "x"\nx = ' + b"[" * 100_000),
     "deep TOML tables": ("config.load(path)", b"[" + b"a." * 100_000 + b"a]\n"),
     "TOML of many digits": ("config.load(path)", b"x = " + b"9" * 100_000),
-    "deep mapping": ("table_mapping.load(path)", b"x = " + b"{a=" * 100_000),
+    "deep mapping": ("mapping.load(path)", b"x = " + b"{a=" * 100_000),
     "deep lines": ("line_requests.read(path)", b"[" * 1_000_000),
     "deep trace": ("traces.read(path)", b"[" * 1_000_000),
-    "deep line": ("line_geojson.read(str(path))", b"[" * 1_000_000),
-    "deep map": ("osm.read([path])", b'{"elements":' + b"[" * 1_000_000),
+    "deep line": ("geojson.read(str(path))", b"[" * 1_000_000),
+    "deep map": ("extract.read([path])", b'{"elements":' + b"[" * 1_000_000),
     "number of a trace": (
         "traces.read(path)",
         b'{"type": "Point", "coordinates": [1' + b"0" * 400 + b", 50]}",
     ),
     "number of a map": (
-        "osm.read([path])",
+        "extract.read([path])",
         b'{"elements": [{"type": "node", "id": 1' + b"0" * 400 + b', "lat": 1, "lon": 1}]}',
     ),
     "silence": (
@@ -178,10 +181,10 @@ def test_text_that_nests_or_counts_beyond_sense_is_refused(tmp_path: Path, name:
     "work",
     [
         "config.load(path)",
-        "table_mapping.load(path)",
+        "mapping.load(path)",
         "line_requests.read(path)",
         "traces.read(path)",
-        "osm.read([path])",
+        "extract.read([path])",
         "elevation.read(path)",
         "Database(str(path), '$.odometer.dbc')",
     ],

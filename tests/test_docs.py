@@ -54,7 +54,7 @@ def test_example_configurations_load() -> None:
 
 
 def test_scenario_of_the_simulation_page_is_one() -> None:
-    from tramstream.scenario import parse
+    from tramstream.simulation.scenario import parse
 
     page = (REPOSITORY / "docs" / "simulation.md").read_text()
     scenario = parse(page.split("```toml\n")[1].split("```")[0].encode(), "simulation.md")

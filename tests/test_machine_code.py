@@ -11,16 +11,17 @@ import networks
 import pytest
 from live import finished
 
-from tramstream import keys, machine_code, scenario
+from tramstream import keys, machine_code
 from tramstream.config import Map
-from tramstream.registry import make_processors
-from tramstream.simulation import Simulation
+from tramstream.live.registry import make_processors
+from tramstream.simulation import scenario
+from tramstream.simulation.simulation import Simulation
 
 WARM_START = """
 import sys
 import numba
 from numba.core import event
-from tramstream.processors.compile_kernels import compile_all
+from tramstream.processors.warm_up import compile_all
 with event.install_recorder("numba:compile") as recorder:
     if sys.argv[1:]:
         from test_machine_code import ride
@@ -70,7 +71,7 @@ def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
     done = finished(
         [sys.executable, "-c", WARM_START, str(network)],
         check=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, "PYTHONPATH": str(Path(networks.__file__).parent)},
     )
     assert done.stdout.strip() == "['<lambda>']"
 

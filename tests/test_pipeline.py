@@ -17,13 +17,14 @@ from typing import Any
 import pytest
 from live import HANG_S, command, environment, finished, short_folder, tramstream, until
 
-from tramstream import keys, roster
-from tramstream.bus import ZenohBus
-from tramstream.cli.demo import configuration
+from tramstream import keys
+from tramstream.cli.terminal.demo_vehicle import configuration
 from tramstream.clock import S, VehicleClock
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.reader import open_record
-from tramstream.roster import Proc, Roster
+from tramstream.supervision import roster
+from tramstream.supervision.roster import Proc, Roster
+from tramstream.transport.bus import ZenohBus
 
 pytestmark = pytest.mark.live
 
@@ -107,7 +108,7 @@ def test_check_fails_when_the_processors_are_configured_differently(
 
 def test_part_of_a_ride_is_reprocessed_from_its_first_snapshot(ride: Any, tmp_path: Path) -> None:
     """As with a split recording whose first part is gone."""
-    from tramstream.recorder.writer import RecordFile
+    from tramstream.recorder.file.writer import RecordFile
 
     path, _ = ride
     part = tmp_path / "part.mcap"

@@ -14,7 +14,7 @@ from live import short_folder, tramstream, until
 from test_pipeline import Running
 
 from tramstream import keys
-from tramstream.cli.demo import configuration
+from tramstream.cli.terminal.demo_vehicle import configuration
 from tramstream.recorder.describe import describe
 from tramstream.recorder.reader import open_record
 

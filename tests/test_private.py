@@ -13,9 +13,10 @@ import pytest
 from live import finished
 from other_users import as_user, open_folder
 
-from tramstream import machine_code, private, snapshots
+from tramstream import machine_code, private
 from tramstream.clock import VehicleClock, boot_id
 from tramstream.errors import ConfigError
+from tramstream.live import snapshots
 from tramstream.proto.sync_pb2 import Snapshot
 
 STRANGER, OTHER = 65534, 1001

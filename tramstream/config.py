@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from tramstream.errors import ConfigError
 from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
-from tramstream.strict import decode_toml
+from tramstream.strict_toml import decode_toml
 
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold

@@ -25,7 +25,7 @@ from tramstream import private
 KEPT = 4
 """Folders of other states of the sources that are kept: another installation may use them."""
 _COMPLETE = "complete"
-_COMPILER = "tramstream.processors.compile_kernels"
+_COMPILER = "tramstream.processors.warm_up"
 _refused: list[str] = []
 
 
@@ -68,7 +68,7 @@ def _state_of_sources() -> str:
     spec = importlib.util.find_spec("tramstream.processors")
     places = spec.submodule_search_locations if spec is not None else None
     for place in (Path(__file__).parent, *map(Path, places or ())):
-        for file in sorted(place.glob("*.py")):
+        for file in sorted(place.rglob("*.py")):
             status = file.stat()
             digest.update(f"{file}{status.st_size}{status.st_mtime_ns}".encode())
     return digest.hexdigest()[:16]

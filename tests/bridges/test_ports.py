@@ -20,8 +20,9 @@ import pytest
 import serial
 
 from tramstream import keys
-from tramstream.bridges import ports, socketcan
-from tramstream.bridges.canframe import ERROR, EXTENDED, FD, HOST_OVERFLOW, REMOTE, Content
+from tramstream.bridges import ports
+from tramstream.bridges.odometer import socketcan
+from tramstream.bridges.odometer.frames import ERROR, EXTENDED, FD, HOST_OVERFLOW, REMOTE, Content
 from tramstream.bridges.ports import CanPort, SerialPort, gnss_port, imu_port, odometer_port
 from tramstream.clock import VehicleClock
 from tramstream.config import Gnss, Imu, Odometer, Vehicle, Wheel

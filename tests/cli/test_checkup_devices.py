@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from tramstream.bridges import socketcan
-from tramstream.cli import checkup_devices
+from tramstream.bridges.odometer import socketcan
+from tramstream.cli.checks import devices
 from tramstream.config import Odometer, Wheel
 
 CONFIG: dict[str, Any] = {
@@ -22,13 +22,13 @@ CONFIG: dict[str, Any] = {
 def test_short_queue_is_a_warning_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     """What Linux 6.1 grants by default holds 555 frames (docs/can.md)."""
     monkeypatch.setattr(socketcan, "granted_bytes", lambda: 212_992)
-    (finding,) = checkup_devices.check_queue(Odometer(**CONFIG))
+    (finding,) = devices.check_queue(Odometer(**CONFIG))
     assert finding.state == "warning"
     assert "holds 555 frames" in finding.text
     assert "net.core.rmem_max=8388608" in finding.cure
-    assert checkup_devices.check_queue(Odometer(interface="virtual", **CONFIG)) == []
+    assert devices.check_queue(Odometer(interface="virtual", **CONFIG)) == []
     monkeypatch.setattr(socketcan, "granted_bytes", lambda: socketcan.BUFFER_BYTES)
-    assert checkup_devices.check_queue(Odometer(**CONFIG)) == []
+    assert devices.check_queue(Odometer(**CONFIG)) == []
 
 
 def test_virtual_interface_is_up_though_its_state_is_unknown(
@@ -40,7 +40,7 @@ def test_virtual_interface_is_up_though_its_state_is_unknown(
         (tmp_path / name / "flags").write_text(f"{flags}\n")
         (tmp_path / name / "operstate").write_text("unknown\n")
     monkeypatch.setattr(socketcan, "INTERFACES", tmp_path)
-    (finding,) = checkup_devices.check_can_interfaces()
+    (finding,) = devices.check_can_interfaces()
     assert finding.text == "can0 (down), v (up)"
 
 
@@ -49,4 +49,4 @@ def test_ip_that_hangs_leaves_the_bit_rate_unjudged(monkeypatch: pytest.MonkeyPa
         raise subprocess.TimeoutExpired("ip", 5)
 
     monkeypatch.setattr(subprocess, "run", hang)
-    assert checkup_devices.check_bit_rate(Odometer(**CONFIG)) == []
+    assert devices.check_bit_rate(Odometer(**CONFIG)) == []

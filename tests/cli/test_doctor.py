@@ -19,9 +19,10 @@ from looking import VEHICLE, busy_bus, tramstream
 
 from tramstream import config, keys
 from tramstream.bridges.ports import SerialPort
-from tramstream.bridges.pseudo_terminal import PseudoTerminal
-from tramstream.cli import checkup, checkup_devices
-from tramstream.cli.checkup import State
+from tramstream.bridges.simulators.pseudo_terminal import PseudoTerminal
+from tramstream.cli.checks import devices as checkup_devices
+from tramstream.cli.checks import machine
+from tramstream.cli.checks.machine import State
 from tramstream.cli.init import CONFIG_NAME, init
 
 
@@ -56,47 +57,47 @@ def recorder(folder: Path, floor_bytes: int = 0) -> config.Recorder:
     return config.Recorder(directory=str(folder), free_space_floor_bytes=floor_bytes)
 
 
-def only(findings: list[checkup.Finding]) -> checkup.Finding:
+def only(findings: list[machine.Finding]) -> machine.Finding:
     (finding,) = findings
     return finding
 
 
 # The machine --------------------------------------------------------------------------------------
 def test_packages_in_use_are_as_wanted():
-    assert {finding.state for finding in checkup.check_python()} == {State.OK}
+    assert {finding.state for finding in machine.check_python()} == {State.OK}
 
 
 def test_missing_and_outdated_packages_come_with_the_command_that_helps():
     wanted = ["numpy>=999", "no-such-package>=1", "other; extra == 'test'", "msgspec"]
-    found = checkup.check_packages(wanted)
+    found = machine.check_packages(wanted)
     assert [finding.state for finding in found] == [State.FAIL, State.FAIL]
     assert found[0].cure == "pip install 'numpy>=999'"
     assert "is not installed" in found[1].text
 
 
 def test_runtime_folder_may_be_made(folder):
-    finding = only(checkup.check_runtime_dir(folder / "run"))
+    finding = only(machine.check_runtime_dir(folder / "run"))
     assert finding.state == State.OK
     assert not (folder / "run").exists()
 
 
 def test_runtime_folder_with_a_long_name_fails():
-    finding = only(checkup.check_runtime_dir(Path("/tmp") / ("x" * 120)))
+    finding = only(machine.check_runtime_dir(Path("/tmp") / ("x" * 120)))
     assert finding.state == State.FAIL
     assert "shorter" in finding.cure
 
 
 def test_file_in_place_of_a_folder_fails(folder):
     (folder / "file").write_text("")
-    assert only(checkup.check_runtime_dir(folder / "file")).state == State.FAIL
-    assert checkup.check_disk(recorder(folder / "file"))[0].state == State.FAIL
+    assert only(machine.check_runtime_dir(folder / "file")).state == State.FAIL
+    assert machine.check_disk(recorder(folder / "file"))[0].state == State.FAIL
 
 
 def test_disk_below_the_floor_fails_and_nearly_full_warns(folder):
     free = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
-    an_hour = int(free - checkup.RECORD_BYTES_PER_H)
+    an_hour = int(free - machine.RECORD_BYTES_PER_H)
     states = [
-        checkup.check_disk(recorder(folder / "records", floor))[0].state
+        machine.check_disk(recorder(folder / "records", floor))[0].state
         for floor in (0, an_hour, 2 * free)
     ]
     assert states[1:] == [State.WARNING, State.FAIL]
@@ -104,17 +105,17 @@ def test_disk_below_the_floor_fails_and_nearly_full_warns(folder):
 
 
 def test_clock_and_processor_give_a_line_each(folder):
-    assert only(checkup.check_clock(folder)).name == "clock"
-    assert "cores free" in only(checkup.check_processor()).text
+    assert only(machine.check_clock(folder)).name == "clock"
+    assert "cores free" in only(machine.check_processor()).text
 
 
 def test_vehicle_clock_is_compared_once_there_is_one(folder):
-    checkup.VehicleClock.shared(folder)
-    assert checkup.check_clock(folder)[-1].name == "vehicle clock"
+    machine.VehicleClock.shared(folder)
+    assert machine.check_clock(folder)[-1].name == "vehicle clock"
 
 
 def test_absent_bus_is_no_failure(folder):
-    found, alive = checkup.check_bus(folder)
+    found, alive = machine.check_bus(folder)
     assert only(found).state == State.OK
     assert alive == []
 
@@ -122,7 +123,7 @@ def test_absent_bus_is_no_failure(folder):
 @pytest.mark.live
 def test_running_bus_is_named_with_its_nodes():
     with busy_bus() as folder:
-        found, alive = checkup.check_bus(folder)
+        found, alive = machine.check_bus(folder)
     assert f"{VEHICLE}: gnss" in only(found).text
     assert alive == [keys.alive(VEHICLE, "gnss")]
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from looking import tramstream
-
-sys.path.insert(0, str(Path(__file__).parent.parent))
 from other_users import as_user, open_folder
 
 from tramstream import machine_code
-from tramstream.cli import checkup
-from tramstream.cli.checkup import State
+from tramstream.cli.checks import machine
+from tramstream.cli.checks.machine import State
 from tramstream.config import Recorder
 
 STRANGER = 65534
@@ -30,7 +27,7 @@ def shared() -> Iterator[Path]:
 
 @needs_root
 def test_root_is_told_to_be_somebody_else() -> None:
-    finding = checkup.check_rights()[0]
+    finding = machine.check_rights()[0]
     assert (finding.name, finding.state) == ("user", State.WARNING)
     assert "runs as root" in finding.text
     assert "useradd --system" in finding.cure
@@ -39,7 +36,7 @@ def test_root_is_told_to_be_somebody_else() -> None:
 @needs_root
 def test_user_is_not() -> None:
     def look() -> None:
-        finding = checkup.check_rights()[0]
+        finding = machine.check_rights()[0]
         assert (finding.state, finding.text) == (State.OK, "nobody")
 
     machine_code.folder()
@@ -49,7 +46,7 @@ def test_user_is_not() -> None:
 @needs_root
 def test_runtime_folder_of_a_stranger_fails(shared: Path) -> None:
     as_user(STRANGER, (shared / "run").mkdir)
-    (finding,) = checkup.check_runtime_dir(shared / "run")
+    (finding,) = machine.check_runtime_dir(shared / "run")
     assert finding.state == State.FAIL
     assert "belongs to user 65534" in finding.text
     done = tramstream("doctor", runtime_dir=shared / "run")
@@ -65,7 +62,7 @@ def test_records_where_others_may_write_are_warned_of(
     folder.mkdir()
     folder.chmod(mode)
     settings = Recorder(directory=str(folder), free_space_floor_bytes=0)
-    finding = checkup.check_disk(settings)[0]
+    finding = machine.check_disk(settings)[0]
     assert ("can be written by others" in finding.text) == (state == State.WARNING)
     assert bool(finding.cure) or state == State.OK
 
@@ -79,7 +76,7 @@ def test_machine_code_that_others_could_write_is_told(
     monkeypatch.setattr(machine_code, "_refused", [])
     machine_code.folder.cache_clear()
     try:
-        (finding,) = checkup.check_rights()[1:]
+        (finding,) = machine.check_rights()[1:]
     finally:
         machine_code.folder.cache_clear()
     assert finding.state == State.WARNING

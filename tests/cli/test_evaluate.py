@@ -21,7 +21,7 @@ from tramstream.keys import Key
 from tramstream.proto.estimate_pb2 import DistanceState, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
-from tramstream.recorder.writer import RecordFile
+from tramstream.recorder.file.writer import RecordFile
 
 LEVEL = LocalLevel.at_deg(50.0, 14.0, 250.0)
 YAW_RAD, SPEED_MPS, DURATION_S = math.radians(30.0), 10.0, 60.0

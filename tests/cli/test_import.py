@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tramstream import keys
-from tramstream.bridges import adis
-from tramstream.cli.import_sources import Imports
+from tramstream.analysis.tables.captures import Imports
+from tramstream.bridges.imu import framer
 from tramstream.errors import ConfigError, RecordError
 from tramstream.recorder.reader import open_record
 
@@ -119,7 +119,7 @@ def test_imu_capture_gives_the_samples_and_device_intervals_that_were_written(
     counts = rng.integers(-3000, 3000, (count, 6)).astype(np.int16)
     capture = tmp_path / "imu.bin"
     capture.write_bytes(
-        adis.encode(
+        framer.encode(
             np.arange(count, dtype=np.int64) * 500 + 2**32 - 50_000,  # the stamp wraps on the way
             np.arange(count),
             counts[:, :3],
@@ -137,7 +137,7 @@ def test_imu_capture_gives_the_samples_and_device_intervals_that_were_written(
 
 
 def test_wheel_that_the_dbc_has_not_is_refused_by_name(tmp_path: Path) -> None:
-    from tramstream.bridges.simulated import DBC_PATH
+    from tramstream.bridges.simulators.streams import DBC_PATH
 
     capture = tmp_path / "log.candump"
     capture.write_text("(1.000000) can0 110#0100010000\n")
@@ -152,7 +152,7 @@ def test_absent_capture_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
-    from tramstream.bridges.simulated import DBC_PATH
+    from tramstream.bridges.simulators.streams import DBC_PATH
 
     capture = tmp_path / "log.candump"
     capture.write_text("(1.000000) can0 110#0100010000\nnoise\n(1.020000) can0 110#0100010001\n")
@@ -164,7 +164,7 @@ def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
 
 
 def test_output_never_replaces_what_it_is_made_from(tmp_path: Path) -> None:
-    from tramstream.cli.session import make_room
+    from tramstream.cli.terminal.session import make_room
 
     source = tmp_path / "ride.mcap"
     source.write_bytes(b"ride")

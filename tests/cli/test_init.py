@@ -10,9 +10,10 @@ import msgspec
 import pytest
 from looking import tramstream
 
-from tramstream import config, registry
+from tramstream import config
 from tramstream.cli.init import CONFIG_NAME, DBC_NAME, TEMPLATE, init
 from tramstream.errors import ConfigError
+from tramstream.live import registry
 
 SETTING = re.compile(r"^#(?=\[|\w+ = )", re.MULTILINE)
 """A commented-out line of TOML; prose has a blank behind its #."""

@@ -16,14 +16,14 @@ from live import HANG_S, command, environment, finished, short_folder
 from looking import START_NS, VEHICLE, busy_bus, envelope, fix, tramstream, write_fixes
 
 from tramstream import keys
-from tramstream.cli import look, readable
-from tramstream.cli.look import Wanted, read_key
-from tramstream.cli.stats import KeyStats, Sequence, Stats
+from tramstream.cli.monitor import readable, source
+from tramstream.cli.monitor.source import Wanted, read_key
+from tramstream.cli.monitor.stats import KeyStats, Sequence, Stats
 from tramstream.clock import S
 from tramstream.errors import ConfigError
 from tramstream.plain import to_dict
 from tramstream.proto.raw_pb2 import RawBytes
-from tramstream.recorder.writer import RecordFile
+from tramstream.recorder.file.writer import RecordFile
 
 MS = S // 1000
 HEAVY = ("numpy", "zenoh", "google.protobuf", "mcap", "can", "cantools", "msgspec")
@@ -60,19 +60,19 @@ def test_vehicle_option_and_full_key_must_agree():
 
 @pytest.mark.parametrize("pattern", ["**", "raw/**", "*/imu/*", "health/any/loss", "health/*/log"])
 def test_expression_that_meets_a_defined_key_is_known(pattern):
-    assert look.is_defined(pattern)
+    assert source.is_defined(pattern)
 
 
 @pytest.mark.parametrize(
     "pattern", ["raw/gnss/fixes", "raw/gnss", "raw", "health/a/b/loss", "x/**"]
 )
 def test_expression_that_meets_no_defined_key_is_unknown(pattern):
-    assert not look.is_defined(pattern)
+    assert not source.is_defined(pattern)
 
 
 def test_sentence_for_unknown_key_names_what_was_meant():
-    assert "raw/gnss/fix" in look.nothing_at("raw/gns/fix", look.defined_paths())
-    assert "est/**" in look.nothing_at("est", look.defined_paths())
+    assert "raw/gnss/fix" in source.nothing_at("raw/gns/fix", source.defined_paths())
+    assert "est/**" in source.nothing_at("est", source.defined_paths())
 
 
 # Figures ------------------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ def test_every_message_type_is_readable(key):
 
 def test_not_a_number_becomes_null_in_json():
     figures = {"a": [float("nan"), 1.5], "b": {"c": float("inf")}, "d": 2**63}
-    assert json.loads(look.line(figures)) == {"a": [None, 1.5], "b": {"c": None}, "d": 2**63}
+    assert json.loads(source.line(figures)) == {"a": [None, 1.5], "b": {"c": None}, "d": 2**63}
 
 
 # Records ------------------------------------------------------------------------------------------

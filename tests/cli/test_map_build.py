@@ -13,9 +13,9 @@ from live import finished
 from prague import Prague
 from typer.testing import CliRunner, Result
 
-from tramstream import network
 from tramstream.cli.main import make_app
 from tramstream.errors import ConfigError
+from tramstream.tracks import network
 
 
 def build(*arguments: object) -> Result:

@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 from networks import TOWN_LINES, town
 
+from tramstream.analysis.report.network_drawing import (
+    THIN_M,
+    View,
+    arrow_rows,
+    labels,
+    thinned,
+    track_rows,
+)
+from tramstream.analysis.report.network_page import NetworkFigure, Piece
 from tramstream.cli.map_info import describe, info
-from tramstream.cli.network_drawing import THIN_M, View, arrow_rows, labels, thinned, track_rows
-from tramstream.cli.network_page import NetworkFigure, Piece
 from tramstream.errors import ConfigError
-from tramstream.line_requests import LineRequest
-from tramstream.network import FORWARDS, Network, Way
-from tramstream.network_lines import lay_lines
+from tramstream.mapping.line_requests import LineRequest
+from tramstream.mapping.lines import lay_lines
+from tramstream.tracks.network import FORWARDS, Network, Way
 
 MM = 1e-3  # m
 EVERYWHERE = View(np.array([-1e4, -1e4]), np.array([1e4, 1e4]))

@@ -14,20 +14,20 @@ from looking import START_NS, VEHICLE, write_fixes
 from networks import town
 
 from tramstream import keys
+from tramstream.analysis.studies.match_source import Source
 from tramstream.cli.map_match import describe, match
-from tramstream.cli.match_source import Source
 from tramstream.errors import ConfigError, RecordError
 from tramstream.keys import Key
-from tramstream.line_requests import LineRequest
-from tramstream.linear_reference import references
-from tramstream.network import Network
-from tramstream.network_lines import lay_lines, path_of
-from tramstream.processors.matching_offline import Leg, Place
-from tramstream.processors.matching_offline import Path as MatchedPath
+from tramstream.mapping.line_requests import LineRequest
+from tramstream.mapping.lines import lay_lines, path_of
+from tramstream.processors.matching.offline import Leg, Place
+from tramstream.processors.matching.offline import Path as MatchedPath
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import ClockReference
-from tramstream.recorder.writer import RecordFile
+from tramstream.recorder.file.writer import RecordFile
+from tramstream.tracks.linear_reference import references
+from tramstream.tracks.network import Network
 
 START = datetime(2026, 9, 21, 8, 0, tzinfo=UTC)
 S = 1_000_000_000

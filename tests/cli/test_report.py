@@ -16,13 +16,13 @@ from looking import tramstream
 from report_samples import OUTAGE_S, START_NS, VEHICLE, MadeUpRide, whole_ride, write
 
 from tramstream import keys
+from tramstream.analysis.report.charts import POINTS, Timeline, Trace, broken
+from tramstream.analysis.report.compose import compose
+from tramstream.analysis.report.health import mode_runs, rates_figure
+from tramstream.analysis.report.material import Runs, inside, long_runs
+from tramstream.analysis.report.page import Page, figure
+from tramstream.analysis.report.source import collect
 from tramstream.cli.report import report
-from tramstream.cli.report_charts import POINTS, Timeline, Trace, broken
-from tramstream.cli.report_compose import compose
-from tramstream.cli.report_health import mode_runs, rates_figure
-from tramstream.cli.report_material import Runs, inside, long_runs
-from tramstream.cli.report_page import Page, figure
-from tramstream.cli.report_source import collect
 from tramstream.clock import S
 from tramstream.errors import DamagedRecordError, TramstreamError
 
@@ -86,7 +86,7 @@ def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(ride: Path) -> str:
-    return compose(collect(ride, "", ""))
+    return compose(collect(ride, "", "", print))
 
 
 # One file -----------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def test_every_section_is_filled(page):
 
 
 def test_series_reach_the_page_with_their_extremes(ride, page):
-    material = collect(ride, "", "")
+    material = collect(ride, "", "", print)
     drawn = series(page)
     for column in (material.states.speed_mps, material.fixes.speed_mps):
         top = np.float32(column.max())
@@ -165,7 +165,7 @@ def test_line_is_broken_by_silence():
 
 # What happened ------------------------------------------------------------------------------------
 def test_outage_and_standstill_are_found(ride):
-    material = collect(ride, "", "")
+    material = collect(ride, "", "", print)
     (start,), (end,) = ((each - START_NS) / S for each in material.outages)
     assert (start, end) == (
         pytest.approx(OUTAGE_S[0], abs=0.2),
@@ -198,7 +198,7 @@ def test_rate_that_falls_is_seen():
 
 
 def test_modes_of_the_filter_are_runs_without_gaps(ride):
-    runs = mode_runs(collect(ride, "", "").states)
+    runs = mode_runs(collect(ride, "", "", print).states)
     assert [run.state for run in runs] == ["TRACKING", "DEAD_RECKONING", "TRACKING"]
     assert [run.end_ns for run in runs[:-1]] == [run.start_ns for run in runs[1:]]
 
@@ -221,7 +221,7 @@ def made(path: Path, *names: str) -> Path:
     "names", [("fixes",), ("wheels",), ("truth",), ("health",), ("parameters",)]
 )
 def test_record_of_one_kind_gives_a_page_that_says_what_is_lacking(tmp_path, names):
-    page = compose(collect(made(tmp_path / "one.mcap", *names), "", ""))
+    page = compose(collect(made(tmp_path / "one.mcap", *names), "", "", print))
     text = "".join(read(page).text)
     assert "No est/ekf/state in the record" in text
     assert ("No raw/gnss/fix in the record." in text) == ("fixes" not in names)
@@ -231,7 +231,7 @@ def test_record_of_one_kind_gives_a_page_that_says_what_is_lacking(tmp_path, nam
 def test_states_without_truth_give_their_stated_deviation(tmp_path):
     ride = MadeUpRide(30.0)
     path = write(tmp_path / "states.mcap", ride.estimate(keys.EST_STATE))
-    rows = read(compose(collect(path, "", ""))).rows
+    rows = read(compose(collect(path, "", "", print))).rows
     assert ["filter", "speed, m/s", "0.050", "0.050", "0.050", "0.050"] in rows
 
 
@@ -242,13 +242,13 @@ def test_states_without_covariance_or_level_are_drawn(tmp_path):
         for name in ("covariance", "innovations", "protection_along_m", "protection_across_m"):
             sample.message.ClearField(name)
     path = write(tmp_path / "bare.mcap", iter(samples), ride.truth())
-    text = "".join(read(compose(collect(path, "", ""))).text)
+    text = "".join(read(compose(collect(path, "", "", print))).text)
     assert "No innovations in the record" in text
 
 
 def test_single_message_gives_a_page(tmp_path):
     path = write(tmp_path / "one.mcap", iter([next(MadeUpRide(1.0).fixes())]))
-    assert "Summary" in compose(collect(path, "", ""))
+    assert "Summary" in compose(collect(path, "", "", print))
 
 
 def test_outputs_find_inputs_and_truth_in_their_source(tmp_path):
@@ -257,14 +257,14 @@ def test_outputs_find_inputs_and_truth_in_their_source(tmp_path):
     states = ride.estimate(keys.EST_STATE)
     metadata = {"reprocessed_from": "source.mcap"}
     path = write(tmp_path / "out.mcap", states, metadata=metadata)
-    material = collect(path, "", "")
+    material = collect(path, "", "", print)
     assert material.states is not None
     assert material.ride.truth is not None
     assert material.ride.fixes is not None
     assert material.health.nodes
     assert {keys.EST_STATE.path, keys.GNSS_FIX.path} <= set(material.rates_hz)
     (tmp_path / "source.mcap").unlink()
-    assert collect(path, "", "").ride.truth is None
+    assert collect(path, "", "", print).ride.truth is None
 
 
 def test_truth_of_another_record_is_used(tmp_path):

@@ -13,10 +13,10 @@ from live import HANG_S, command, finished
 from networks import junctions
 from typer.testing import CliRunner
 
+from tramstream.analysis.studies.kaspar2023 import KINDS, WITH_MAP
 from tramstream.cli import reproduce as verb
 from tramstream.cli.main import make_app
 from tramstream.errors import ConfigError
-from tramstream.processors.kaspar2023_study import KINDS, WITH_MAP
 
 REPRODUCE = ("reproduce", "kaspar2023")
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from tramstream.cli import drives_study as study
+from tramstream.analysis.studies import drives as study
+from tramstream.cli.figures.reproduce_drives import rms_m
 from tramstream.cli.main import make_app
-from tramstream.cli.reproduce_drives import rms_m
 from tramstream.errors import ConfigError
 
 MAPPINGS = Path(__file__).resolve().parents[2] / "mappings"
@@ -40,7 +40,7 @@ def test_drives_that_are_not_there_are_told_before_the_work_begins(tmp_path: Pat
 @pytest.mark.realdata
 def test_rtk_and_canyon_are_as_good_as_demanded_and_never_overconfident(data_dir: Path) -> None:
     found = {
-        drive.name: study.whole(data_dir / "drives" / drive.folder, MAPPINGS / drive.mapping)
+        drive.name: study.whole(data_dir / "drives" / drive.folder, MAPPINGS / drive.mapping, print)
         for drive in study.DRIVES
     }
     rtkx, smartloc = found["rtkx"], found["smartloc"]
@@ -89,7 +89,7 @@ def test_a_branch_without_fixes_is_what_an_import_with_a_cut_gives(data_dir: Pat
 def test_figures_are_printed_as_one_json_object(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from tramstream.cli import reproduce_drives as verb
+    from tramstream.cli.figures import reproduce_drives as verb
 
     cut = study.Cut(start_s=70.0, duration_s=15.0, along_m=3.0, across_m=-4.0, std_m=6.0)
     figures = {"rtkx": {"horizontal_rms_m": 0.04, "nees_position_mean": None}}

@@ -12,19 +12,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from tramstream import config, keys, scenario
+from tramstream import config, keys
 from tramstream.cli.main import make_app
 from tramstream.errors import ConfigError, RecordError
-from tramstream.line import built_in_line
+from tramstream.lines.line import built_in_line
 from tramstream.recorder.reader import open_record
-from tramstream.simulation import Simulation
+from tramstream.simulation import scenario
+from tramstream.simulation.simulation import Simulation
 
 
 @pytest.fixture(autouse=True)
 def stop(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """The event that Ctrl-C would set; the tests' own process keeps its signal handlers."""
     event = threading.Event()
-    monkeypatch.setattr("tramstream.cli.session.stop_on_signals", lambda: event)
+    monkeypatch.setattr("tramstream.cli.terminal.session.stop_on_signals", lambda: event)
     return event
 
 

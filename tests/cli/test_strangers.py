@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.recorder.writer import RecordFile
+from tramstream.recorder.file.writer import RecordFile
 
 HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e\x7f"
 """Window title, clear screen, a C1 sequence, a turn of the reading direction, DEL."""

@@ -11,17 +11,17 @@ from looking import START_NS, VEHICLE, busy_bus, envelope, fix, tramstream
 from rich.console import Console
 
 from tramstream import keys
-from tramstream.bus import LocalBus
-from tramstream.cli.board import Board, Level, board
-from tramstream.cli.columns import clipped, lasting, scaled
-from tramstream.cli.digest import digest
-from tramstream.cli.screen import WIDE
-from tramstream.cli.stats import Stats
+from tramstream.cli.monitor.board import Board, Level, board
+from tramstream.cli.monitor.digest import digest
+from tramstream.cli.monitor.screen import WIDE
+from tramstream.cli.monitor.stats import Stats
 from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
+from tramstream.transport.bus import LocalBus
+from tramstream.wording import clipped, lasting, scaled
 
 NOW_NS = START_NS + 20 * S
 

@@ -16,15 +16,16 @@ import pytest
 from record_rides import CONFIG, batch, drive, fix, wheels, written
 from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
-from tramstream import keys, registry
-from tramstream.bus import LocalBus
+from tramstream import keys
 from tramstream.clock import S
-from tramstream.host import ProcessorNode
 from tramstream.keys import Key
+from tramstream.live import registry
+from tramstream.live.host import ProcessorNode
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.rerun import rerun
+from tramstream.recorder.reprocess.run import rerun
+from tramstream.transport.bus import LocalBus
 
 STEPS = 400
 FROM = 200

@@ -7,6 +7,7 @@ import os
 import sys
 from pathlib import Path
 
+import disks
 import pytest
 from disks import Watched, refusing
 from live import finished
@@ -15,10 +16,10 @@ from record_samples import START_NS, VEHICLE, active, plain, read, traffic
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Recorder
 from tramstream.proto.health_pb2 import NodeHealth
-from tramstream.recorder.disk import Recording
+from tramstream.recorder.file.repair import REDO
+from tramstream.recorder.file.sink import Worker
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.repair import REDO
-from tramstream.recorder.sink import Worker
+from tramstream.recorder.recording import Recording
 from tramstream.recorder.space import FreeSpace
 
 
@@ -300,8 +301,8 @@ from pathlib import Path
 from disks import Watched, refusing
 from record_samples import VEHICLE, append, traffic
 from tramstream.config import Recorder
-from tramstream.recorder.disk import Recording
-from tramstream.recorder.sink import Worker
+from tramstream.recorder.recording import Recording
+from tramstream.recorder.file.sink import Worker
 from tramstream.clock import VehicleClock
 import resource
 if sys.argv[3] != "0":
@@ -318,7 +319,7 @@ print(recording.close(), sum(loss.count for loss in recording.take_losses()), se
 
 def run_writer(folder: Path, limit: int) -> list[str]:
     done = finished(
-        [sys.executable, "-c", WRITER, str(Path(__file__).parent), str(folder), str(limit)],
+        [sys.executable, "-c", WRITER, str(Path(disks.__file__).parent), str(folder), str(limit)],
         check=True,
     )
     return done.stdout.strip().split(";")

@@ -17,11 +17,11 @@ from tramstream.clock import S
 from tramstream.errors import DamagedRecordError, RecordError
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
+from tramstream.recorder.csv_tables import export_csv
 from tramstream.recorder.describe import describe
+from tramstream.recorder.file.writer import RecordFile
+from tramstream.recorder.geojson import geojson
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.tables import export_csv
-from tramstream.recorder.track import geojson
-from tramstream.recorder.writer import RecordFile
 
 
 def put(record, key, message, log_ns, sequence):

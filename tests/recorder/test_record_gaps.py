@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tramstream import keys
-from tramstream.bus import Envelope
 from tramstream.clock import S
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendAnswer, ResendRequest
+from tramstream.recorder.file.layout import Entry
 from tramstream.recorder.gaps import AGAIN_NS, ORPHANED_NS, GapBook
-from tramstream.recorder.layout import Entry
 from tramstream.recorder.previous import summarise
-from tramstream.resend import History
+from tramstream.transport.bus import Envelope
+from tramstream.transport.resend import History
 
 OWN = 99
 NONE: Counter[str] = Counter()

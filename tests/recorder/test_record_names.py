@@ -11,16 +11,16 @@ from disks import Watched
 from record_samples import VEHICLE, Sent, plain, traffic
 
 from tramstream import keys
-from tramstream.bus import LocalBus
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, VehicleClock
 from tramstream.config import Recorder
 from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.recorder.describe import describe
-from tramstream.recorder.disk import Recording
+from tramstream.recorder.file.sink import Worker
 from tramstream.recorder.names import BOOT_FILE, PartNames, UtcOffset, parse
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.sink import Worker
+from tramstream.recorder.recording import Recording
 from tramstream.recorder.space import FreeSpace
+from tramstream.transport.bus import LocalBus
 
 NOON_NS = 1_796_040_000 * S
 """2026-11-30T12:00:00 UTC: when the third boot of these tests began, whatever its clock said."""

@@ -9,7 +9,6 @@ import pytest
 from scripted import START_NS, VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import keys
-from tramstream.bus import LocalBus
 from tramstream.clock import S
 from tramstream.config import Recorder
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -17,6 +16,7 @@ from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.proto.resend_pb2 import ResendAnswer
 from tramstream.recorder.node import RecorderNode
 from tramstream.recorder.reader import open_record
+from tramstream.transport.bus import LocalBus
 
 FIX = keys.GNSS_FIX.on(VEHICLE)
 

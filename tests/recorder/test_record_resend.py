@@ -33,7 +33,7 @@ VEHICLE = "v"
 ROUTER = """
 import sys
 from pathlib import Path
-from tramstream.bus import ZenohBus
+from tramstream.transport.bus import ZenohBus
 from tramstream.clock import VehicleClock
 folder = Path(sys.argv[1])
 bus = ZenohBus.route(folder, VehicleClock.shared(folder))
@@ -44,7 +44,7 @@ sys.stdin.read()
 RECORDER = """
 import signal, sys, threading
 from pathlib import Path
-from tramstream.bus import ZenohBus
+from tramstream.transport.bus import ZenohBus
 from tramstream.clock import VehicleClock
 from tramstream.config import Recorder
 from tramstream.recorder.node import RecorderNode
@@ -63,7 +63,7 @@ PUBLISHERS = """
 import json, os, sys, threading, time
 from pathlib import Path
 from tramstream import keys
-from tramstream.bus import ZenohBus
+from tramstream.transport.bus import ZenohBus
 from tramstream.clock import VehicleClock
 from tramstream.proto.raw_pb2 import RawBytes
 folder = Path(sys.argv[1])
@@ -98,7 +98,7 @@ HASTY = """
 import sys
 from pathlib import Path
 from tramstream import keys
-from tramstream.bus import ZenohBus
+from tramstream.transport.bus import ZenohBus
 from tramstream.clock import VehicleClock
 folder = Path(sys.argv[1])
 bus = ZenohBus.connect(folder, VehicleClock.shared(folder))

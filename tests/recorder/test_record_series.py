@@ -10,14 +10,14 @@ from record_samples import START_NS, VEHICLE
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.estimation.series import Slot
 from tramstream.geodesy import LocalLevel
 from tramstream.proto.estimate_pb2 import Innovation, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
+from tramstream.recorder.columns import RideSeries, read_ride
+from tramstream.recorder.file.writer import RecordFile
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.series import RideSeries, read_ride
-from tramstream.recorder.writer import RecordFile
-from tramstream.series import Slot
 
 LEVEL = LocalLevel.at_deg(50.0, 14.0, 250.0)
 MM = 1e-3

@@ -14,17 +14,18 @@ from record_rides import CONFIG, drive, fix, wheels
 from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import config as configs
-from tramstream import keys, registry
-from tramstream.bus import LocalBus
+from tramstream import keys
 from tramstream.config import Recorder
-from tramstream.host import ProcessorNode
+from tramstream.live import registry
+from tramstream.live.host import ProcessorNode
 from tramstream.proto.health_pb2 import NodeHealth
+from tramstream.recorder.columns import read_ride
 from tramstream.recorder.describe import describe
+from tramstream.recorder.geojson import geojson
 from tramstream.recorder.node import RecorderNode
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.rerun import Rerun, rerun
-from tramstream.recorder.series import read_ride
-from tramstream.recorder.track import geojson
+from tramstream.recorder.reprocess.run import Rerun, rerun
+from tramstream.transport.bus import LocalBus
 
 STEPS = 400
 FIRST, SECOND = 0xAA, 0xBB

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from tramstream.bridges.canframe import ERROR, HOST_OVERFLOW, Content
+from tramstream.bridges.odometer.frames import ERROR, HOST_OVERFLOW, Content
 from tramstream.bridges.ports import CanPort
 from tramstream.clock import VehicleClock
 from tramstream.config import Odometer, Vehicle, Wheel

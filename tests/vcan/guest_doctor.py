@@ -25,9 +25,9 @@ pytestmark = GUEST_ONLY
 
 # Doctor -------------------------------------------------------------------------------------------
 def findings(channel: str, **changes: Any) -> list[tuple[str, str, str]]:
-    from tramstream.cli import checkup_devices
+    from tramstream.cli.checks import devices
 
-    found = checkup_devices.check_device("odometer", vehicle_of(channel, **changes), [])
+    found = devices.check_device("odometer", vehicle_of(channel, **changes), [])
     for finding in found:
         print(f"\n{finding.state}: {finding.text} → {finding.cure}", end="")
     assert "has all signals" in found[0].text
@@ -35,15 +35,15 @@ def findings(channel: str, **changes: Any) -> list[tuple[str, str, str]]:
 
 
 def test_doctor_lists_the_interfaces_with_their_state(vcan: None) -> None:
-    from tramstream.cli import checkup_devices
+    from tramstream.cli.checks import devices
 
     sh("ip link set can0 down")
     sh("ip link set can1 up type can bitrate 250000")
-    (finding,) = checkup_devices.check_can_interfaces()
+    (finding,) = devices.check_can_interfaces()
     assert finding.text == "can0 (down), can1 (up), vcan0 (up)"
     sh("ip link set vcan0 down")
     sh("ip link set can1 down")
-    (finding,) = checkup_devices.check_can_interfaces()
+    (finding,) = devices.check_can_interfaces()
     assert finding.text == "can0 (down), can1 (down), vcan0 (down)"
 
 

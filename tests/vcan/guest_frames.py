@@ -34,9 +34,9 @@ from guest_bus import (
 )
 
 from tramstream import keys
-from tramstream.bridges import socketcan
-from tramstream.bridges.canframe import ERROR, EXTENDED, FD, REMOTE, Content
-from tramstream.bridges.odometer import OdometerBridge
+from tramstream.bridges.odometer import socketcan
+from tramstream.bridges.odometer.bridge import OdometerBridge
+from tramstream.bridges.odometer.frames import ERROR, EXTENDED, FD, REMOTE, Content
 from tramstream.bridges.ports import CanPort
 from tramstream.clock import S
 from tramstream.processor import Sample
@@ -201,7 +201,7 @@ UNPRIVILEGED = """
 import os, socket, sys
 sys.path.insert(0, {folder!r})
 import can, guest_bus as guest
-from tramstream.cli import checkup_devices
+from tramstream.cli.checks import devices
 guest.can_port().open()  # whatever is imported late; the folders may be closed to others
 os.setgroups([]); os.setgid({nobody}); os.setuid({nobody})
 port = guest.can_port()
@@ -211,7 +211,7 @@ sender = guest.Sender()
 sender.flood(5000)
 found = guest.drain(port)
 print("frames", len(guest.numbers(found)), "lost", guest.losses(found))
-for finding in checkup_devices.check_queue(guest.odometer()):
+for finding in devices.check_queue(guest.odometer()):
     print("finding", finding.state, finding.text, "->", finding.cure)
 """
 

@@ -26,11 +26,11 @@ from guest_bus import (
     wait_for,
 )
 
-from tramstream.bridges import socketcan
-from tramstream.bridges.canframe import EXTENDED, REMOTE, Content
+from tramstream.bridges.odometer import socketcan
+from tramstream.bridges.odometer.frames import EXTENDED, REMOTE, Content
 from tramstream.bridges.ports import CanPort
 from tramstream.errors import DeviceError
-from tramstream.ports import PortReader
+from tramstream.live.ports import PortReader
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import CanFrames
 

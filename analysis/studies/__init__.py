@@ -1,0 +1,1 @@
+"""Studies over many rides: what accuracy is reached, and what no filter can do better."""

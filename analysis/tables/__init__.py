@@ -1,0 +1,1 @@
+"""Other people's tables and captures as the raw messages of a ride."""

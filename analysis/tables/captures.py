@@ -1,0 +1,254 @@
+"""Captures as the raw messages that a live bridge would have had, and their way into a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from tramstream import config as configs
+from tramstream import keys
+from tramstream.analysis.tables.mapping import GnssTable
+from tramstream.analysis.tables.tables import Tables
+from tramstream.bridges.gnss.bridge import GnssBridge, epoch_times, unix_like_ns
+from tramstream.bridges.imu import framer as adis
+from tramstream.bridges.imu.bridge import ImuBridge
+from tramstream.bridges.odometer import candump
+from tramstream.bridges.odometer import frames as canframe
+from tramstream.bridges.odometer.bridge import OdometerBridge
+from tramstream.bridges.odometer.dbc import Database
+from tramstream.clock import S
+from tramstream.config import Gnss, Imu, Odometer, Vehicle, Wheel
+from tramstream.errors import ConfigError, RecordError
+from tramstream.keys import Key
+from tramstream.processor import Processor, Sample, stamp
+from tramstream.proto.health_pb2 import DeviceHealth
+from tramstream.proto.raw_pb2 import RawBytes
+from tramstream.recorder.file.writer import RecordFile
+
+NO_LINE_BAUD = 1_000_000_000
+"""A capture has no line: its bytes take no time."""
+READ_BYTES = 4096
+CAN_GROUP_NS = S // 50
+"""Frames of so long go into one message, as the live port gathers them."""
+ADIS_READ = 10 * adis.FRAME_LENGTH
+"""Ten samples a read: 5 ms at 2 kHz."""
+SPEED_UNITS = {"km/h": 1.0 / 3.6, "kph": 1.0 / 3.6, "kmph": 1.0 / 3.6, "m/s": 1.0, "mph": 0.44704}
+
+
+@dataclass(frozen=True)
+class Item:
+    """A raw message, its stamp, when it came, and the bridge that takes it; rows have none."""
+
+    key: Key
+    message: Any
+    stamp_ns: int
+    arrival_ns: int
+    bridge: Processor | None = None
+
+
+class Imports:
+    """Collects sources, then writes them as one record in the order of their times."""
+
+    def __init__(self, config: Path | None, vehicle: str, model: str) -> None:
+        self._configured = config is not None
+        self._vehicle_id = vehicle
+        self._use(configs.load(config) if config is not None else Vehicle(vehicle="import"))
+        self.malformed_lines = 0
+        """Lines of CAN logs that are no frames, and of tables that are no rows: left out, and
+        told."""
+        self.tables_read: list[dict[str, Any]] = []
+        self._model = model
+        self._items: list[Item] = []
+        self._bridges: dict[str, Processor] = {}
+
+    def _use(self, vehicle: Vehicle) -> None:
+        name = self._vehicle_id or vehicle.vehicle
+        self.vehicle = msgspec.structs.replace(vehicle, vehicle=name)
+
+    def tables(self, tables: Tables) -> None:
+        """Rows of tables; before all other sources, for a mapping may hold the configuration."""
+        if tables.mapping.vehicle is not None and not self._configured:
+            self._use(tables.mapping.vehicle)
+        receiver = next((t.file for t in tables.mapping.tables if isinstance(t, GnssTable)), "")
+        if receiver and self.vehicle.gnss is None:
+            self.vehicle = msgspec.structs.replace(self.vehicle, gnss=Gnss(device=receiver))
+        made = tables.read(self.vehicle)
+        self._items += [Item(*row) for row in made.rows]
+        self.tables_read += made.tables
+        self.malformed_lines += made.malformed_lines
+
+    def gnss(self, path: Path) -> None:
+        """A receiver's bytes; each read gets the epoch that its frames tell."""
+        data = _read(path)
+        self.vehicle = msgspec.structs.replace(
+            self.vehicle, gnss=self.vehicle.gnss or Gnss(device=path.name)
+        )
+        assert self.vehicle.gnss is not None
+        immediate = msgspec.structs.replace(
+            self.vehicle.gnss, receiver_delay_s=0.0, baud_rate=NO_LINE_BAUD
+        )
+        bridge = GnssBridge(msgspec.structs.replace(self.vehicle, gnss=immediate))
+        times = [(end, unix_like_ns(gps_ns)) for end, gps_ns in epoch_times(data)]
+        for arrival_ns, piece in _timed_pieces(data, times):
+            message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
+            self._items.append(Item(keys.GNSS_BYTES, message, arrival_ns, arrival_ns, bridge))
+        self._bridges[bridge.name] = bridge
+
+    def imu(self, path: Path) -> None:
+        """An IMU's frames; a read arrives when its last frame was latched."""
+        data = _read(path)
+        section = self.vehicle.imu or Imu(device=path.name, model=self._model)  # type: ignore[arg-type]
+        section = msgspec.structs.replace(section, baud_rate=NO_LINE_BAUD)
+        self.vehicle = msgspec.structs.replace(self.vehicle, imu=section)
+        bridge = ImuBridge(self.vehicle)
+        framer = adis.AdisFramer()
+        arrival_ns, last_us = S, None
+        for begin in range(0, len(data), ADIS_READ):
+            piece = data[begin : begin + ADIS_READ]
+            frames = framer.feed(piece).frames
+            if len(frames):
+                newest_us = int(frames["stamp_us"][-1])
+                if last_us is not None:
+                    arrival_ns += (newest_us - last_us) % 2**32 * 1000
+                last_us = newest_us
+            message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
+            self._items.append(Item(keys.IMU_BYTES, message, arrival_ns, arrival_ns, bridge))
+        self._bridges[bridge.name] = bridge
+
+    def can(self, path: Path, dbc: Path | None, wheels: list[str]) -> str:
+        """A CAN log on its own clock; returns the wheels it decodes, for people."""
+        section = self.vehicle.odometer
+        if dbc is not None:
+            chosen = _wheels(dbc, wheels)
+            section = Odometer(
+                interface="virtual", channel=path.name, dbc=str(dbc.absolute()), wheels=chosen
+            )
+        if section is None:
+            raise ConfigError("--can: the configuration has no section [odometer]; give --dbc")
+        self.vehicle = msgspec.structs.replace(self.vehicle, odometer=section)
+        bridge = OdometerBridge(self.vehicle)
+        group: list[canframe.CanFrame] = []
+        for line in _read(path).decode("ascii", "replace").splitlines():
+            frame = candump.parse_line(line)
+            if isinstance(frame, canframe.Rejected):
+                self.malformed_lines += 1
+                continue
+            if group and frame.stamp_ns - group[0].stamp_ns >= CAN_GROUP_NS:
+                self._add_frames(group, path, bridge)
+                group = []
+            group.append(frame)
+        if group:
+            self._add_frames(group, path, bridge)
+        self._bridges[bridge.name] = bridge
+        return ", ".join(f"{n} = {w.message}.{w.signal}" for n, w in section.wheels.items())
+
+    def _add_frames(
+        self, group: list[canframe.CanFrame], path: Path, bridge: OdometerBridge
+    ) -> None:
+        frames = canframe.pack(group, path.name)
+        self._items.append(Item(keys.ODO_FRAMES, frames, frames.stamp_ns, frames.stamp_ns, bridge))
+
+    def write(self, out: Path) -> dict[str, Any]:
+        """Step everything through the bridges and write it; return what came out."""
+        self._items.sort(key=lambda item: item.arrival_ns)
+        messages: dict[str, int] = {}
+        published: dict[str, int] = {}
+        metadata = {configs.RECORD_ENTRY: configs.to_json(self.vehicle)}
+        with RecordFile(out, self.vehicle.vehicle, metadata) as target:
+
+            def write(sample: Sample, log_ns: int) -> None:
+                path = sample.key.path
+                publish_ns = published[path] = max(log_ns, published.get(path, 0) + 1)
+                target.append(
+                    sample.key.on(self.vehicle.vehicle),
+                    sample.key,
+                    sample.message.SerializeToString(),
+                    log_ns,
+                    publish_ns,
+                    sample.sequence,
+                )
+                messages[path] = messages.get(path, 0) + 1
+
+            log_ns = 0
+            for item in self._items:
+                log_ns = item.arrival_ns
+                sequence = 1 + messages.get(item.key.path, 0)
+                stamp(item.message, item.stamp_ns, sequence)
+                raw = Sample(item.key, item.message, item.stamp_ns, sequence)
+                write(raw, log_ns)
+                for sample in item.bridge.step(raw) if item.bridge is not None else ():
+                    write(sample, log_ns)
+            devices = {}
+            for name, bridge in self._bridges.items():
+                counters = bridge.device_counters()  # type: ignore[attr-defined]
+                devices[name] = counters
+                health = DeviceHealth(
+                    device=name, port="import", stamp_ns=log_ns, sequence=1, **counters
+                )
+                write(Sample(keys.DEVICE.at(name), health, log_ns, 1), log_ns)
+        return {
+            "out": str(out),
+            "messages": dict(sorted(messages.items())),
+            "devices": devices,
+            "malformed_lines": self.malformed_lines,
+            "tables": self.tables_read,
+        }
+
+
+def _read(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    if not data:
+        raise RecordError(f"{path}: is empty")
+    return data
+
+
+def _timed_pieces(data: bytes, times: list[tuple[int, int]]) -> Iterable[tuple[int, bytes]]:
+    """Cut where a time ends; bytes after the last time get that one."""
+    begin, arrival_ns = 0, S
+    for end, time_ns in times:
+        arrival_ns = time_ns
+        if end > begin:
+            yield time_ns, data[begin:end]
+            begin = end
+    for start in range(begin, len(data), READ_BYTES):
+        yield arrival_ns, data[start : start + READ_BYTES]
+
+
+def _wheels(dbc: Path, chosen: list[str]) -> dict[str, Wheel]:
+    """Wheels from NAME=MESSAGE.SIGNAL; by default every signal that is a wheel's speed."""
+    units = Database(str(dbc), "--dbc").units()
+    if not chosen:
+        found = {
+            signal.lower(): Wheel(
+                message=message, signal=signal, kind="speed", scale=SPEED_UNITS[unit]
+            )
+            for (message, signal), unit in units.items()
+            if "WHEEL" in signal.upper() and unit in SPEED_UNITS
+        }
+        if not found:
+            raise ConfigError(
+                f"{dbc}: no signal looks like a wheel's speed; name them with "
+                "--wheel NAME=MESSAGE.SIGNAL"
+            )
+        return found
+    wheels = {}
+    for text in chosen:
+        name, _, place = text.partition("=")
+        message, _, signal = place.partition(".")
+        if not (name and message and signal):
+            raise ConfigError(f"--wheel {text}: must read NAME=MESSAGE.SIGNAL")
+        unit = units.get((message, signal), "")
+        wheels[name] = Wheel(
+            message=message,
+            signal=signal,
+            kind="speed" if unit in SPEED_UNITS else "pulses",
+            scale=SPEED_UNITS.get(unit, 1.0),
+        )
+    return wheels

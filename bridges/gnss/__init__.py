@@ -1,0 +1,1 @@
+"""A GNSS receiver's bytes to fixes: UBX and NMEA framing, messages, clocks."""

@@ -1,0 +1,191 @@
+"""Continuous GPS time of a receiver's messages, and its place on the vehicle clock.
+
+`GpsTimeline` turns week, time of week and UTC of a message into nanoseconds since 1980-01-06. Most
+messages carry only the time of week; the week comes from the last message that knew it, so that a
+roll of the week between two messages is of no consequence. A UTC date gives the week without the
+leap seconds, which are believed only where the receiver says that they are valid.
+
+`ArrivalClock` maps a device's time to the vehicle clock with `ClockFit`, by the definition
+arrival = epoch + receiver delay + line time + waiting, waiting ≥ 0.
+"""
+
+from __future__ import annotations
+
+import math
+from datetime import date
+from typing import Any
+
+from tramstream.bridges.gnss.ubx import UbxMessage
+from tramstream.clock import GPS_EPOCH_UNIX_S, ClockFit, S
+
+WEEK_NS = 604_800 * S
+MS = 1_000_000
+"""Nanoseconds in a millisecond."""
+_DAY_S = 86_400
+_FIRST_YEAR, _LAST_YEAR = 1980, 2150
+_LAST_WEEK = 8871
+"""Of 2150: a later one is garbage, and its nanoseconds would soon not fit into 64 bits."""
+_LATEST_NS = 2**63 - 1
+
+# IERS Bulletin C: GPS − UTC from these dates on.
+_LEAP_SECONDS = (
+    (date(2017, 1, 1), 18), (date(2015, 7, 1), 17), (date(2012, 7, 1), 16),
+    (date(2009, 1, 1), 15), (date(2006, 1, 1), 14), (date(1999, 1, 1), 13),
+)  # fmt: skip
+
+
+def utc_ns(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> int:
+    """UTC in Unix nanoseconds; 0 if that is no date. `nano` may be negative, `second` 60."""
+    if not _FIRST_YEAR <= year <= _LAST_YEAR or hour > 23 or minute > 59 or second > 60:
+        return 0
+    try:
+        days = date(year, month, day).toordinal() - 719_163  # 1970-01-01
+    except ValueError:
+        return 0
+    return (days * _DAY_S + hour * 3600 + minute * 60 + second) * S + nano
+
+
+def leap_seconds_on(unix_ns: int) -> int:
+    """GPS − UTC of a UTC instant since 1999, where no receiver says it: offline only."""
+    day = date.fromordinal(719_163 + unix_ns // S // _DAY_S)
+    return next((seconds for since, seconds in _LEAP_SECONDS if day >= since), 13)
+
+
+class GpsTimeline:
+    """Week and leap seconds as the receiver's messages reveal them."""
+
+    def __init__(self) -> None:
+        self.reference_ns: int | None = None
+        """The latest GPS time of which the week was known."""
+        self.leap_seconds: int | None = None
+
+    def of(self, message: UbxMessage) -> int | None:
+        """GPS time of the epoch that `message` belongs to; None while the week is unknown."""
+        fields = message.fields
+        name = message.name
+        gps_ns: int | None
+        if name in ("NAV-PVT", "NAV-PVAT", "HNR-PVT"):
+            gps_ns = self._of_solution(fields)
+        elif name == "NAV-TIMEGPS":
+            gps_ns = self._of_timegps(fields)
+        elif name == "RXM-RAWX":
+            gps_ns = self._of_rawx(fields)
+        else:
+            if name == "NAV-TIMELS" and fields["valid"] & 1:
+                self.leap_seconds = fields["currLs"]
+            itow_ms = fields.get("iTOW")
+            return None if itow_ms is None else self.near(itow_ms * MS)
+        if gps_ns is not None:
+            self.reference_ns = gps_ns
+        return gps_ns
+
+    def near(self, tow_ns: int) -> int | None:
+        """The instant of time of week `tow_ns` nearest to the last known one."""
+        if self.reference_ns is None or tow_ns >= WEEK_NS:
+            return None
+        return _nearest(tow_ns, self.reference_ns)
+
+    def _of_solution(self, fields: dict[str, Any]) -> int | None:
+        """Week from the UTC date, fraction of a millisecond from nano."""
+        itow_ns = fields["iTOW"] * MS
+        utc = solution_utc_ns(fields)
+        if itow_ns >= WEEK_NS:
+            return None
+        if utc == 0:
+            return self.near(itow_ns)
+        about_ns = utc - GPS_EPOCH_UNIX_S * S  # wrong by the leap seconds, which cannot matter
+        gps_ns = _nearest(itow_ns, about_ns)
+        fraction_ns = (fields["nano"] - gps_ns + S // 2) % S - S // 2
+        return gps_ns + fraction_ns if abs(fraction_ns) <= MS else gps_ns
+
+    def _of_timegps(self, fields: dict[str, Any]) -> int | None:
+        valid, week = fields["valid"], fields["week"]
+        if valid & 4:
+            self.leap_seconds = fields["leapS"]
+        tow_ns = fields["iTOW"] * MS + (fields["fTOW"] if abs(fields["fTOW"]) <= MS else 0)
+        if not valid & 1 or fields["iTOW"] * MS >= WEEK_NS:
+            return None
+        if not valid & 2 or not 0 < week <= _LAST_WEEK:
+            return self.near(tow_ns)
+        return int(week * WEEK_NS + tow_ns)
+
+    def _of_rawx(self, fields: dict[str, Any]) -> int | None:
+        if fields["recStat"] & 1:
+            self.leap_seconds = fields["leapS"]
+        tow_s, week = fields["rcvTow"], fields["week"]
+        if not (math.isfinite(tow_s) and 0 <= tow_s < 604_800) or not 0 < week <= _LAST_WEEK:
+            return None
+        return int(week * WEEK_NS + round(tow_s * 1e9))
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"reference_ns": self.reference_ns, "leap_seconds": self.leap_seconds}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.reference_ns = state["reference_ns"]
+        self.leap_seconds = state["leap_seconds"]
+
+
+def solution_utc_ns(fields: dict[str, Any]) -> int:
+    """UTC of NAV-PVT, NAV-PVAT or HNR-PVT; 0 unless both date and time are valid."""
+    if fields["valid"] & 3 != 3:
+        return 0
+    return utc_ns(
+        fields["year"], fields["month"], fields["day"],
+        fields["hour"], fields["min"], fields["sec"], fields["nano"],
+    )  # fmt: skip
+
+
+def _nearest(tow_ns: int, about_ns: int) -> int:
+    weeks = (about_ns - tow_ns + WEEK_NS // 2) // WEEK_NS
+    return weeks * WEEK_NS + tow_ns
+
+
+class ArrivalClock:
+    """Device time to vehicle clock, from when messages arrive.
+
+    The line time is that of the message itself, 10 bits a byte: what the receiver sent before it in
+    the same burst is not known to belong to the epoch, and counts as waiting. Of each epoch only
+    the message that comes first is added, because it waited least.
+    """
+
+    LONGEST_DELAY_NS = 5 * S
+    """Nothing waits longer on its way: a port's buffer holds less. Beyond it, and where an epoch
+    would lie after its own arrival, the device's time has jumped and is not used until the fit has
+    restarted."""
+    REORDERED_NS = 2 * S
+    """An epoch this much older than the newest is not an earlier one that comes late (NAV-PVT after
+    HNR-PVT), but a jump."""
+
+    def __init__(self, receiver_delay_s: float, baud_rate: int) -> None:
+        self.fit = ClockFit()
+        self._delay_ns = round(receiver_delay_s * S)
+        self._byte_ns = 10 * S / baud_rate
+        self._newest_ns: int | None = None
+
+    def add(self, device_ns: int, arrival_ns: int, size: int) -> None:
+        """Take note that a message of `size` bytes of epoch `device_ns` arrived."""
+        newest_ns = self._newest_ns
+        if newest_ns is not None and newest_ns - self.REORDERED_NS < device_ns <= newest_ns + MS:
+            return  # not the first of its epoch; 1 ms: a fraction may follow a whole millisecond
+        self._newest_ns = device_ns
+        self.fit.add(device_ns, arrival_ns - self._delay_ns - round(size * self._byte_ns))
+
+    def stamp(self, device_ns: int | None, arrival_ns: int) -> int:
+        """Vehicle clock at `device_ns`; if that is unknown, arrival less the receiver's delay."""
+        if device_ns is not None and self.fit.ready:
+            host_ns = self.fit.host_ns(device_ns)
+            if arrival_ns - self.LONGEST_DELAY_NS <= host_ns <= arrival_ns:
+                return in_range(host_ns)
+        return in_range(arrival_ns - self._delay_ns)
+
+    def snapshot(self) -> dict[str, Any]:
+        return {"fit": self.fit.snapshot(), "newest_ns": self._newest_ns}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.fit.restore(state["fit"])
+        self._newest_ns = state["newest_ns"]
+
+
+def in_range(stamp_ns: int) -> int:
+    """The nearest stamp that a message can hold."""
+    return min(max(stamp_ns, 0), _LATEST_NS)

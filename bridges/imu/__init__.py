@@ -1,0 +1,1 @@
+"""The ADIS16465's frames to batches of inertial samples."""

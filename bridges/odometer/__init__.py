@@ -1,0 +1,1 @@
+"""CAN frames to wheel readings: sockets, slcan lines, signals of a DBC."""

@@ -1,0 +1,1 @@
+"""Simulated devices on pseudo terminals and CAN: they speak real devices' bytes."""

@@ -1,0 +1,1 @@
+"""The checks of `doctor`: the machine, and what is plugged in."""

@@ -1,0 +1,1 @@
+"""What `bench`, `reproduce` and `evaluate` measure and print."""

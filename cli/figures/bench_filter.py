@@ -1,0 +1,87 @@
+"""Figures of the localisation filter: on frames of a simulated ride, compile time excluded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from tramstream import keys
+from tramstream.cli.figures.bench_stages import Figure
+from tramstream.estimation.localiser import TRACKING
+from tramstream.lines.line import built_in_line
+from tramstream.processor import Sample
+from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.simulation import scenario
+from tramstream.simulation.simulation import Simulation
+
+RIDE_S = 150.0
+CHUNK = 250
+"""Steps that are timed at a time; the median of the chunks counts."""
+
+
+def frames() -> tuple[Simulation, list[Sample]]:
+    """Frames of the reference scenario: IMU at 100 Hz, two wheels at 50 Hz, GNSS at 1 Hz."""
+    simulation = Simulation(built_in_line(), scenario.load("kaspar2023"), 1, RIDE_S)
+    resampler = Resampler(simulation.vehicle)
+    made = [
+        sample
+        for sent in simulation.samples()
+        if sent.key is not keys.TRUTH_STATE
+        for sample in resampler.step(sent)
+        if sample.key is keys.SYNC_FRAME
+    ]
+    return simulation, made
+
+
+def ekf() -> list[Figure]:
+    """Measure the filter alone, and with all that is published.
+
+    `ekf_step_us`: prediction, lateral force, and the odometry and GNSS that fall into a step.
+    `localisation_step_us`: the whole processor, standstill detection, prediction to now and two
+    messages included.
+    """
+    simulation, made = frames()
+    whole = LocalisationFilter(simulation.vehicle)
+    navigation: Navigation | None = None
+    rest: list[Sample] = []
+    for index, frame in enumerate(made):
+        whole.step(frame)
+        estimate = whole.localiser.ahead()
+        if estimate is not None and estimate.mode == TRACKING and not estimate.standing:
+            level = whole.localiser.level
+            assert level is not None  # there is an estimate
+            navigation = Navigation(simulation.vehicle, level)
+            state = whole.localiser.snapshot()["navigation"]
+            assert state is not None
+            navigation.restore(state)
+            rest = made[index + 1 :]
+            break
+    assert navigation is not None, "the ride is long enough to find its heading"
+    noise = navigation.inputs[1, :6] * 0.0
+
+    def step(frame: Sample) -> None:
+        navigation.read(frame.message)
+        navigation.run(frame.message, False, noise)
+
+    return [
+        Figure("ekf_step_us", median_us(step, rest), 15.0, False),
+        Figure("localisation_step_us", median_us(lambda frame: whole.step(frame), rest)),
+    ]
+
+
+def median_us(step: Callable[[Any], object], frames: Sequence[Any]) -> float:
+    """Median over chunks of the time of a step; the first chunk does not count."""
+    found = []
+    for begin in range(0, len(frames) - CHUNK, CHUNK):
+        started = time.perf_counter()
+        for frame in frames[begin : begin + CHUNK]:
+            step(frame)
+        found.append(1e6 * (time.perf_counter() - started) / CHUNK)
+    found = sorted(found[1:])
+    return found[len(found) // 2]
+
+
+STAGES: dict[str, Callable[[], list[Figure]]] = {"ekf": ekf}

@@ -1,0 +1,1 @@
+"""What verbs share: the configuration, options, columns, keys pressed, work on all cores."""

@@ -1,0 +1,53 @@
+"""Work on all cores whose results are taken as they come, until somebody presses Ctrl-C."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from typing import Any, NamedTuple
+
+from tramstream.cli.terminal.session import stop_on_signals
+
+LOOK_S = 0.5
+"""How often a signal is looked for."""
+
+
+class Job(NamedTuple):
+    """A function of a module and what it is called with; both go to another process."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def results(jobs: Sequence[Job]) -> Iterator[tuple[Job, Any]]:
+    """Each job with its result, as they are done; after a signal no more."""
+    stop = stop_on_signals()
+    workers = max(min(os.cpu_count() or 1, len(jobs)), 1)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_leave_signals) as pool:
+        waiting: dict[Future[Any], Job] = {
+            pool.submit(job.function, *job.arguments): job for job in jobs
+        }
+        while waiting:
+            done, _ = wait(waiting, LOOK_S, return_when="FIRST_COMPLETED")
+            for future in done:
+                yield waiting.pop(future), future.result()
+            if stop.is_set():
+                _give_up(pool)
+                return
+
+
+def _leave_signals() -> None:
+    """Ctrl-C is for the parent alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _give_up(pool: ProcessPoolExecutor) -> None:
+    """Drop what has not begun; what has is ended."""
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()

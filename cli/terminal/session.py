@@ -1,0 +1,98 @@
+"""What verbs on the bus share: the configuration, the clock, signals, a way to find the vehicle."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from tramstream import config, keys
+from tramstream.clock import VehicleClock
+from tramstream.errors import BusError, ConfigError
+from tramstream.shown import shown
+from tramstream.transport.bus import Bus, ZenohBus
+
+
+def say(text: str) -> None:
+    """Say something to people, on standard error; what strangers wrote in it does no harm."""
+    print(shown(text, lines=True), file=sys.stderr, flush=True)
+
+
+def make_room(out: Path, sources: Sequence[Path], overwrite: bool) -> None:
+    """Delete `out` if it shall be replaced, unless it is, or lies in, one of the `sources`.
+
+    Raises
+    ------
+    ConfigError
+        If `out` would destroy what it is made from.
+    """
+    target = out.resolve()
+    for source in sources:
+        place = source.resolve()
+        if target == place or (place.is_dir() and place in target.parents):
+            raise ConfigError(
+                f"{out}: is what would be read, or lies in its folder; choose another --out"
+            )
+    if overwrite:
+        out.unlink(missing_ok=True)
+
+
+def stop_on_signals() -> threading.Event:
+    """An event that Ctrl-C, SIGTERM and a closed terminal set; a second Ctrl-C interrupts for good.
+
+    Not a closed terminal if that was to be ignored (`nohup`).
+    """
+    stop = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set() and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        stop.set()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, handle)
+    return stop
+
+
+@contextmanager
+def client(runtime_dir: Path | None = None) -> Iterator[Bus]:
+    """A session on the bus of `runtime_dir` (default: the user's), closed at the end.
+
+    Raises
+    ------
+    BusError
+        If there is no bus.
+    """
+    folder = runtime_dir or config.default_runtime_dir()
+    bus = ZenohBus.connect(folder, VehicleClock.shared(folder))
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def vehicle_on(bus: Bus, wanted: str = "") -> str:
+    """The vehicle to look at: `wanted`, or the only one that has nodes on the bus.
+
+    Raises
+    ------
+    BusError
+        If there is none, or several and none is wanted.
+    """
+    tokens = bus.alive(keys.alive("*", "*"))
+    vehicles = sorted({keys.split(token)[0] for token in tokens})
+    if wanted:
+        return wanted
+    if len(vehicles) == 1:
+        return vehicles[0]
+    if not vehicles:
+        raise BusError("the bus has no nodes; start `tramstream run`, `demo` or `replay`")
+    raise BusError(
+        f"several vehicles are on the bus ({', '.join(vehicles)}); choose with --vehicle"
+    )

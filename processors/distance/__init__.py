@@ -1,0 +1,1 @@
+"""Travelled distance and speed from wheels and GNSS speed (konecny2004)."""

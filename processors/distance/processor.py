@@ -1,0 +1,247 @@
+"""Travelled distance and speed from wheels and GNSS speed (konecny2004 on real measurements).
+
+Pulses are measured as accumulated distance, so that quantisation never adds up; wheels that give a
+speed, and the receiver's speed over ground, as speed. Each step predicts over the true interval
+between the stamps; that the stamps jitter counts as noise of the path, in proportion to the speed.
+A measurement outside the gate is reported and not used.
+
+The wheels' path is *tied* to the estimate with its first reading, and anew when it jumps (a
+restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
+and after many refusals. What the estimate was wrong by at a tie stays in the distance for good: its
+variance is *settled*, kept beside the filter, whose P speaks of the path since the tie.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from tramstream import keys
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processors.distance import kalman1d
+from tramstream.proto.estimate_pb2 import DistanceState
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
+
+START_SPEED_STD_MPS = 20.0
+"""Nothing is known at first: a tram does at most 80 km/h."""
+MAX_SPEED_MPS = 30.0
+"""Wheels that claim more have been reset."""
+MIN_JUMP_S = 0.1
+"""Readings that come closer together (stamps jitter) are not reset for it."""
+GNSS_SPEED_FLOOR_MPS = 0.1
+"""The receiver's own accuracy leaves out what is correlated in time."""
+QUANTISATION = 1.0 / 3.0
+"""Variance of a pulse count in pulses²: 1/12 in theory, 1/3 works better at low speed (theory.md
+section 2)."""
+MAX_PAUSE_S = 0.5
+"""After a longer pause of the wheels, a path that does not fit has been counted without us."""
+MAX_STEP_S = 60.0
+"""After a longer pause the speed is unknown again."""
+MAX_REFUSALS = 50
+"""So many refused wheel readings in a row (one second) mean that the estimate is wrong, or that a
+slip has taken the wheels' path away from it for good."""
+
+
+class _Taken(NamedTuple):
+    """One scalar measurement as the filter saw it; becomes an Innovation."""
+
+    measurement: str
+    innovation: float
+    variance: float
+    accepted: bool
+
+
+class DistanceFilter(Processor):
+    """(s, ṡ) from `sync/fusion/frame`, published with every frame that holds a measurement."""
+
+    name = "distance"
+    inputs = (keys.SYNC_FRAME,)
+    outputs = (keys.EST_DISTANCE,)
+    pacing = (keys.SYNC_FRAME,)
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
+        config = vehicle.distance
+        wheels = vehicle.wheels
+        self._m_per_pulse = wheels.m_per_pulse
+        self._acceleration_std = config.acceleration_std_mps2
+        self._stamp_variance = wheels.stamp_std_s**2
+        self._wheel_variance = wheels.speed_std_mps**2
+        self._gate = config.gate_sigma
+        self._stamp_ns = 0
+        self._refusals = 0
+        self._wheels: list[str] = []  # whose pulses make up the path
+        self._offset_m: float | None = None  # distance − wheels' path; None while not tied
+        self._path_m = 0.0  # wheels' path at the last reading
+        self._path_ns = 0
+        self._settled_m2 = 0.0
+        self._ledger = Ledger("distance", "measurements")
+        self._kalman = kalman1d.distance_filter(np.zeros(2), np.zeros((2, 2)))
+        self._restart_speed()
+
+    def step(self, sample: Sample) -> list[Sample]:
+        frame = sample.message
+        fixes, readings = frame.gnss, frame.odometry
+        if not fixes and not readings:
+            return []
+        measurements = [*fixes, *readings]
+        if len(measurements) > 1:
+            measurements.sort(key=attrgetter("stamp_ns"))
+        innovations: list[_Taken] = []
+        for measurement in measurements:
+            self._ledger.received += 1
+            if isinstance(measurement, Odometry):
+                found = self._take_wheels(measurement)
+            else:
+                found = self._take_fix(measurement)
+            if any(innovation.accepted for innovation in found):
+                self._ledger.delivered += 1
+            else:
+                self._ledger.dropped += 1
+            innovations += found
+        return [self._publish(innovations)] if innovations else []
+
+    # Measurements --------------------------------------------------------------------------------
+    def _predict(self, stamp_ns: int) -> None:
+        dt_s = (stamp_ns - self._stamp_ns) / S
+        if self._stamp_ns == 0:
+            self._stamp_ns = stamp_ns
+        elif dt_s > MAX_STEP_S:
+            self._stamp_ns = stamp_ns
+            self._restart_speed(travelled_std_m=START_SPEED_STD_MPS * dt_s)
+        elif dt_s > 0:
+            self._kalman.move(dt_s, self._acceleration_std)
+            self._stamp_ns = stamp_ns
+
+    def _restart_speed(self, travelled_std_m: float = 0.0) -> None:
+        """Keep the distance, forget the speed and what the wheels' path was tied to."""
+        variance = self._kalman.covariance[0] + travelled_std_m**2
+        self._kalman.x = np.array([[self._kalman.state[0]], [0.0]])
+        self._kalman.P = np.diag([variance, START_SPEED_STD_MPS**2])
+        self._offset_m = None
+        self._refusals = 0
+
+    def _take_wheels(self, odometry: Odometry) -> list[_Taken]:
+        names: list[str] = []
+        speeds: list[float] = []
+        pulses = 0
+        for wheel in odometry.wheels:
+            if wheel.HasField("pulses"):
+                names.append(wheel.wheel)
+                pulses += wheel.pulses
+            if wheel.HasField("speed_mps"):
+                speeds.append(wheel.speed_mps)
+        if not names and not speeds:
+            return []
+        self._predict(odometry.stamp_ns)
+        found = []
+        if names:
+            path_m = pulses / len(names) * self._m_per_pulse
+            found.append(self._take_path(names, path_m, odometry.stamp_ns))
+        if speeds:
+            speed_mps = sum(speeds) / len(speeds)
+            variance = self._wheel_variance / len(speeds)
+            found.append(self._update("wheel_speed", speed_mps, kalman1d.SPEED, variance))
+        # The path speaks for the wheels: after a slip their speed is right again, the path is not.
+        self._refusals = 0 if found[0].accepted else self._refusals + 1
+        if self._refusals >= MAX_REFUSALS:
+            if any(innovation.accepted for innovation in found):
+                self._offset_m = None  # the speed is right, so the path is wrong
+                self._refusals = 0
+            else:
+                self._restart_speed()
+        return found
+
+    def _take_path(self, wheels: list[str], path_m: float, stamp_ns: int) -> _Taken:
+        """Take the mean path of `wheels`."""
+        speed_mps = self._kalman.state[1]
+        variance = (
+            self._m_per_pulse**2 * QUANTISATION / len(wheels) + speed_mps**2 * self._stamp_variance
+        )
+        pause_s = (stamp_ns - self._path_ns) / S
+        jumped = abs(path_m - self._path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)
+        if wheels != self._wheels or jumped:
+            self._offset_m = None
+        self._wheels, self._path_m, self._path_ns = wheels, path_m, stamp_ns
+        if self._offset_m is None:
+            return self._tie(path_m, variance)
+        z = path_m + self._offset_m
+        innovation = self._update("wheel_path", z, kalman1d.POSITION, variance)
+        if not innovation.accepted and pause_s > MAX_PAUSE_S:
+            return self._tie(path_m, variance)
+        return innovation
+
+    def _tie(self, path_m: float, variance: float) -> _Taken:
+        """Count the wheels' path from the estimate on."""
+        p00, _, _, p11 = self._kalman.covariance
+        self._settled_m2 += p00 + variance
+        self._kalman.P = np.diag([variance, p11])
+        self._offset_m = self._kalman.state[0] - path_m
+        return _Taken("wheel_path", 0.0, variance, accepted=True)
+
+    def _take_fix(self, fix: GnssFix) -> list[_Taken]:
+        if not fix.valid:
+            return []
+        self._predict(fix.stamp_ns)
+        # Speed over ground has no sign; the tram's direction is the filter's own.
+        speed_mps = fix.speed_mps if self._kalman.state[1] >= 0.0 else -fix.speed_mps
+        std_mps = max(fix.speed_std_mps, GNSS_SPEED_FLOOR_MPS)
+        return [self._update("gnss_speed", speed_mps, kalman1d.SPEED, std_mps**2)]
+
+    def _update(self, name: str, z: float, H: kalman1d.Array, R: float) -> _Taken:
+        verdict = self._kalman.update(z, R, H, self._gate)
+        assert verdict is not None  # there was a measurement
+        return _Taken(name, *verdict)
+
+    def _publish(self, innovations: list[_Taken]) -> Sample:
+        distance_m, speed_mps = self._kalman.state
+        p00, p01, _, p11 = self._kalman.covariance
+        p00 += self._settled_m2
+        state = DistanceState()
+        state.distance_m = distance_m
+        state.speed_mps = speed_mps
+        state.distance_std_m = sqrt(p00)
+        state.speed_std_mps = sqrt(p11)
+        state.covariance.extend((p00, p01, p01, p11))
+        for taken in innovations:
+            state.innovations.add(
+                measurement=taken.measurement,
+                value=taken.innovation,
+                variance=taken.variance,
+                accepted=taken.accepted,
+            )
+        return self.emit(keys.EST_DISTANCE, state, self._stamp_ns)
+
+    # Memory --------------------------------------------------------------------------------------
+    def ledgers(self) -> list[Ledger]:
+        return [self._ledger]
+
+    def snapshot(self) -> State:
+        return {
+            "sequences": self.sequences(),
+            "x": self._kalman.x,
+            "P": self._kalman.P,
+            "stamp_ns": self._stamp_ns,
+            "refusals": self._refusals,
+            "wheels": list(self._wheels),
+            "offset_m": self._offset_m,
+            "path_m": self._path_m,
+            "path_ns": self._path_ns,
+            "settled_m2": self._settled_m2,
+            "counts": [self._ledger.received, self._ledger.delivered, self._ledger.dropped],
+        }
+
+    def restore(self, state: State) -> None:
+        self.restore_sequences(state["sequences"])
+        self._kalman.x, self._kalman.P = state["x"], state["P"]
+        self._stamp_ns, self._refusals = state["stamp_ns"], state["refusals"]
+        self._wheels, self._offset_m = list(state["wheels"]), state["offset_m"]
+        self._path_m, self._path_ns = state["path_m"], state["path_ns"]
+        self._settled_m2 = state["settled_m2"]
+        self._ledger = Ledger("distance", "measurements", *state["counts"])

@@ -1,0 +1,1 @@
+"""The localiser of kaspar2023, as the work describes it."""

@@ -1,0 +1,381 @@
+"""The localisation filter of kaspar2023 behind the contract of every localiser.
+
+Each frame is a step: prediction, then accelerometer along x and gyroscopes, wheels, fixes, each as
+it is there. As in the work, GNSS noise counts as white, nothing is gated, standing still is nothing
+special, acceleration and rates are measured anew each step, and a wheel's message tells the speed
+at its own instant. The noise of a fix is what the receiver says.
+
+The work starts from a known place and heading. Here nobody knows them: the filter starts as if the
+vehicle stood, at yaw 0, and reckons in that turned frame until the fixes have moved 5 m away from
+the last one taken standing. The angle between what the fixes and what the filter moved by is the
+heading that was missing; curves on the way do no harm. Until then (HEADING_UNKNOWN) the newest fix
+is all there is to say about the position. Where the two distances do not agree, the waiting starts
+anew with that fix.
+
+Left out: the lever arm of the IMU and the time between a wheel's reading and the frame (at most a
+step). A gap in the inertial data makes place, motion and heading unknown; what was learned stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tramstream.attitude import C_vl
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.errors import ConfigError
+from tramstream.estimation.fixes import antenna_l, deviations, unusable
+from tramstream.estimation.localiser import Array, Estimate, Learned, OnTrack, Verdict, values_of
+from tramstream.geodesy import LocalLevel, normal_gravity_mps2
+from tramstream.processor import State
+from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.filter import Kaspar2023Filter, warm_up
+from tramstream.processors.kaspar2023.model import SIZE, STEP_S, Ix
+from tramstream.processors.kaspar2023.predictor import Ahead
+from tramstream.processors.kaspar2023.wheels import MESSAGE_S, Reading, Refused, WheelPair
+from tramstream.proto.estimate_pb2 import MotionState
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
+from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
+
+START_SPEED_STD_MPS = 0.1
+"""The vehicle stands at first; where it does not, the wheels soon say so."""
+START_PITCH_STD_RAD = 0.05
+"""Trams climb 7 to 8 % at most."""
+SCALE_STD = 0.01
+"""Of the inertial axes before anything is learned; 1 % bounds the ADIS16465's data sheet."""
+HEADING_DISTANCE_M = 5.0
+AGREEMENT = 0.5
+"""Fixes and filter may differ by so much of what the filter has moved, to give a heading."""
+STANDING_MPS = 0.05
+OUTAGE_S = 5.0
+"""Without a fix for so long the filter is dead reckoning."""
+MAX_GAP_S = 1.0
+"""Longest inertial gap that is predicted over, with the last acceleration and rates."""
+POSITION = (Ix.EAST, Ix.NORTH, Ix.UP)
+GNSS = ("gnss_east", "gnss_north", "gnss_up")
+
+_MOTION = np.array([Ix.EAST, Ix.NORTH, Ix.UP, Ix.SPEED, Ix.ROLL, Ix.PITCH, Ix.YAW])
+_MOTION_IN_P = (_MOTION[:, None] * SIZE + _MOTION).ravel()
+_NAMES: tuple[tuple[Ix, str, str], ...] = (
+    (Ix.ACCEL_SCALE, "accel_scale_x", "1"),
+    (Ix.GYRO_SCALE_X, "gyro_scale_x", "1"),
+    (Ix.GYRO_SCALE_Y, "gyro_scale_y", "1"),
+    (Ix.GYRO_SCALE_Z, "gyro_scale_z", "1"),
+    (Ix.ACCEL_INSTABILITY, "accel_instability_x", "m/s²"),
+    (Ix.ACCEL_WALK, "accel_bias_x", "m/s²"),
+    (Ix.GYRO_INSTABILITY_X, "gyro_instability_x", "rad/s"),
+    (Ix.GYRO_INSTABILITY_Y, "gyro_instability_y", "rad/s"),
+    (Ix.GYRO_INSTABILITY_Z, "gyro_instability_z", "rad/s"),
+    (Ix.GYRO_WALK_X, "gyro_bias_x", "rad/s"),
+    (Ix.GYRO_WALK_Y, "gyro_bias_y", "rad/s"),
+    (Ix.GYRO_WALK_Z, "gyro_bias_z", "rad/s"),
+    (Ix.WHEEL_LEFT, "wheel_left", "pulses/(m/s)"),
+    (Ix.WHEEL_RIGHT, "wheel_right", "pulses/(m/s)"),
+)
+
+
+class Kaspar2023Localiser:
+    """The 25 states of the work on the frames of the resampler.
+
+    Parameters
+    ----------
+    vehicle : tramstream.config.Vehicle
+
+    Raises
+    ------
+    ConfigError
+        For a vehicle without an IMU.
+    """
+
+    name = "kaspar2023"
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        imu = vehicle.imu
+        if imu is None:
+            raise ConfigError("$.imu: the model kaspar2023 needs an IMU; $.ekf.model may be tram")
+        C_vb = C_vl(*np.radians(imu.mounting_deg)).T
+        self._axes = np.zeros((4, 6))  # of accelerometer and gyroscopes, case axes, to (f_x, ω_v)
+        self._axes[0, :3], self._axes[1:, 3:] = C_vb[0], C_vb
+        densities = [imu.accel_noise_mps2_rthz**2] + 3 * [imu.gyro_noise_radps_rthz**2]
+        self._inertial_variance = np.diag(densities) / STEP_S
+        gnss = vehicle.gnss
+        self._p_va_v = np.array(gnss.lever_arm_m if gnss else (0.0, 0.0, 0.0), dtype=float)
+        self._floor_m = gnss.error_floor_m if gnss else 0.0
+        self._start_std = _start_std(vehicle)
+        Q = model.process_noise(imu.accel_walk_mps3_rthz, imu.gyro_walk_radps2_rthz)
+        self._filter, self._ahead = Kaspar2023Filter(Q), Ahead(Q)
+        self._wheels = WheelPair(vehicle)
+        self._level: LocalLevel | None = None
+        self._gravity_mps2 = 0.0
+        self._stamp_ns = 0
+        self._heading_known = False
+        self._fix = np.zeros((3, 3))  # newest: antenna in l, variances, where the filter had it
+        self._start_fix = np.zeros((3, 3))  # likewise, the last taken standing
+        self._fix_ns = 0
+        self._complaints: list[str] = []
+        warm_up(Q)
+
+    @property
+    def level(self) -> LocalLevel | None:
+        return self._level
+
+    def take(self, frame: SyncFrame) -> Estimate | None:
+        """See `estimation.localiser.Localiser`; frames without an inertial mean are left out."""
+        if not frame.HasField("imu") or frame.stamp_ns <= self._stamp_ns:
+            return None
+        if self._level is None and not self._begin(frame.gnss):
+            return None
+        self._advance((frame.stamp_ns - self._stamp_ns) / S)
+        self._stamp_ns = frame.stamp_ns
+        verdicts = self._take_inertial(frame.imu)
+        for odometry in frame.odometry:
+            verdicts += self._take_wheels(odometry)
+        for fix in frame.gnss:
+            if self._usable(fix):
+                verdicts += self._take_fix(fix)
+        return self._estimate(self._filter, frame.stamp_ns, verdicts)
+
+    def constrain(self, on_track: OnTrack) -> None:
+        """The work's map: the distance to the track, in normal form (errata of 3.35)."""
+        if not self._heading_known:
+            return
+        H = np.zeros((1, SIZE))
+        H[0, Ix.EAST], H[0, Ix.NORTH] = on_track.normal_east, on_track.normal_north
+        across = np.array([[on_track.across_m]])
+        R = np.array([[on_track.across_variance]])
+        self._filter.update(np.zeros((1, 1)), lambda _: H, lambda _: across, R)
+
+    def see(self, mean: ImuMean) -> None:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        self._ahead.append(mean.stamp_ns, self._reading(mean)[:, 0].tolist())
+
+    def ahead(self) -> Estimate | None:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        newest_ns = self._ahead.newest_ns
+        if self._level is None or newest_ns <= self._stamp_ns:
+            return None
+        kalman = self._ahead.predict(self._filter, self._stamp_ns, self._gravity_mps2)
+        return self._estimate(kalman, newest_ns, [])
+
+    # Start ---------------------------------------------------------------------------------------
+    def _begin(self, fixes: Sequence[GnssFix]) -> bool:
+        """Lay the origin of `l` at the first usable fix, if there is one."""
+        first = next((fix for fix in fixes if self._usable(fix)), None)
+        if first is None:
+            return False
+        place = first.latitude_deg, first.longitude_deg, first.height_ellipsoid_m
+        self._lay(LocalLevel.at_deg(*place))
+        self._stamp_ns = first.stamp_ns
+        self._filter.x = np.zeros((SIZE, 1))
+        self._filter.P = np.diag(self._start_std**2)
+        return True
+
+    def _usable(self, fix: GnssFix) -> bool:
+        reason = unusable(fix, self._level) if fix.valid else ""
+        if reason:
+            self._complaints.append(f"{reason} was left out")
+        return fix.valid and not reason
+
+    def _lay(self, level: LocalLevel) -> None:
+        self._level = level
+        self._gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
+
+    def _lose(self) -> None:
+        """Forget place, motion and attitude; keep what was learned about the sensors."""
+        x, P = self._filter.x.copy(), self._filter.P.copy()
+        moving = slice(Ix.EAST, Ix.RATE_Z + 1)
+        x[moving] = 0.0
+        P[moving, :] = P[:, moving] = 0.0
+        P[moving, moving] = np.diag(self._start_std[moving] ** 2)
+        self._filter.x, self._filter.P = x, P
+        self._heading_known = False
+        self._start_fix = np.zeros((3, 3))
+        self._wheels.forget()
+
+    def _find_heading(self, age_s: float) -> None:
+        """Turn the filter's frame so that it has moved as the fixes have."""
+        kalman, (z, variance, reckoned) = self._filter, self._fix
+        start_z, start_variance, start_reckoned = self._start_fix
+        moved, reckoned_way = (z - start_z)[:2], (reckoned - start_reckoned)[:2]
+        way_m, reckoned_m = math.hypot(*moved), math.hypot(*reckoned_way)
+        started = start_variance[0] > 0.0
+        waiting = reckoned_m < HEADING_DISTANCE_M or way_m < HEADING_DISTANCE_M
+        standing = waiting and abs(kalman.x[Ix.SPEED, 0]) < STANDING_MPS
+        if started and waiting and not standing:
+            return
+        if not started or standing or abs(way_m - reckoned_m) > AGREEMENT * reckoned_m:
+            self._start_fix = self._fix.copy()
+            return
+        x, P = kalman.x.copy(), kalman.P.copy()
+        x[Ix.YAW, 0] += math.atan2(moved[1], moved[0]) - math.atan2(*reckoned_way[::-1])
+        x[list(POSITION), 0] += z - model.antenna(x, self._p_va_v, age_s)[:, 0]
+        for slot, known in zip(POSITION, variance, strict=True):
+            P[slot, :] = P[:, slot] = 0.0
+            P[slot, slot] = known
+        P[Ix.YAW, Ix.YAW] += (variance[0] + start_variance[0]) / way_m**2
+        kalman.x, kalman.P = x, P
+        self._heading_known = True
+
+    # Steps ---------------------------------------------------------------------------------------
+    def _advance(self, dt_s: float) -> None:
+        """Predict in steps of about `STEP_S`; over too long a gap nothing is known."""
+        if dt_s > MAX_GAP_S:
+            self._complaints.append(f"{dt_s:.1f} s without inertial data: the heading is lost")
+            self._lose()
+            return
+        steps = max(1, round(dt_s / STEP_S))
+        for _ in range(steps):
+            self._filter.predict(dt_s=dt_s / steps)
+
+    def _reading(self, mean: ImuMean) -> Array:
+        """(f_x, ω_v), shape (4, 1)."""
+        accel = (mean.accel_x_mps2, mean.accel_y_mps2, mean.accel_z_mps2)
+        gyro = (mean.gyro_x_radps, mean.gyro_y_radps, mean.gyro_z_radps)
+        reading: Array = self._axes @ np.array((*accel, *gyro)).reshape(6, 1)
+        return reading
+
+    def _take_inertial(self, mean: ImuMean) -> list[Verdict]:
+        z, gravity = self._reading(mean), (self._gravity_mps2,)
+        R = self._inertial_variance
+        self._filter.update(z, model.inertial_jacobian, model.inertial, R, gravity, gravity)
+        return _verdicts(self._filter, model.INERTIAL)
+
+    def _take_wheels(self, odometry: Odometry) -> list[Verdict]:
+        reading = self._wheels.read(odometry)
+        if isinstance(reading, Refused):
+            self._complaints.append(reading.reason)
+        if not isinstance(reading, Reading):
+            return []
+        self._filter.update(
+            reading.z,
+            reading.jacobian,
+            reading.function,
+            reading.R,
+            reading.arguments,
+            reading.arguments,
+        )
+        return _verdicts(self._filter, reading.names)
+
+    def _take_fix(self, fix: GnssFix) -> list[Verdict]:
+        assert self._level is not None  # laid at the first fix
+        z = np.array(antenna_l(fix, self._level))
+        level_std, up_std = deviations(fix, self._floor_m)
+        variance = np.array((level_std, level_std, up_std)) ** 2
+        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        arguments = (self._p_va_v, age_s)
+        reckoned = model.antenna(self._filter.x, *arguments)[:, 0]
+        self._fix, self._fix_ns = np.array((z, variance, reckoned)), fix.stamp_ns
+        if not self._heading_known:
+            self._find_heading(age_s)
+            return []
+        self._filter.update(
+            z.reshape(3, 1),
+            model.antenna_jacobian,
+            model.antenna,
+            np.diag(variance),
+            arguments,
+            arguments,
+        )
+        return _verdicts(self._filter, GNSS)
+
+    # What it says --------------------------------------------------------------------------------
+    def _estimate(
+        self, kalman: Kaspar2023Filter, stamp_ns: int, verdicts: list[Verdict]
+    ) -> Estimate:
+        x = kalman.x[:, 0].tolist()
+        covariance = kalman.P.take(_MOTION_IN_P).reshape(7, 7)
+        age_s = (stamp_ns - self._fix_ns) / S
+        speed = x[Ix.SPEED]
+        if self._heading_known:
+            p_l = x[Ix.EAST], x[Ix.NORTH], x[Ix.UP]
+            mode = MotionState.TRACKING if age_s <= OUTAGE_S else MotionState.DEAD_RECKONING
+        else:
+            (east, north, up), variance, _ = self._fix.tolist()
+            p_l, mode = (east, north, up), MotionState.HEADING_UNKNOWN
+            covariance[:3, :] = covariance[:, :3] = 0.0
+            covariance[:3, :3] = np.diag(variance) + np.eye(3) * (speed * age_s) ** 2
+            covariance[6, 6] += math.pi**2 / 3.0  # any direction
+        return Estimate(
+            stamp_ns=stamp_ns,
+            mode=mode,
+            values=values_of(
+                (*p_l, speed, x[Ix.ROLL], x[Ix.PITCH], x[Ix.YAW]),
+                covariance,
+                x[Ix.ACCELERATION],
+                x[Ix.RATE_Z],
+            ),
+            standing=abs(speed) < STANDING_MPS,
+            verdicts=verdicts,
+        )
+
+    def learned(self) -> list[Learned]:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        x, P = self._filter.x, self._filter.P
+        return [
+            Learned(name, float(x[slot, 0]), math.sqrt(max(P[slot, slot], 0.0)), unit)
+            for slot, name, unit in _NAMES
+        ]
+
+    def complaints(self) -> list[str]:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        found, self._complaints = self._complaints, []
+        return found
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> State:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        level = self._level
+        return {
+            "x": self._filter.x.copy(),
+            "P": self._filter.P.copy(),
+            "origin": [level.latitude_rad, level.longitude_rad, level.height_m] if level else None,
+            "stamp_ns": self._stamp_ns,
+            "heading_known": self._heading_known,
+            "fix": self._fix.copy(),
+            "start_fix": self._start_fix.copy(),
+            "fix_ns": self._fix_ns,
+            "wheels": self._wheels.snapshot(),
+            "ahead": self._ahead.snapshot(),
+            "complaints": list(self._complaints),
+        }
+
+    def restore(self, state: State) -> None:
+        """See `tramstream.estimation.localiser.Localiser`."""
+        self._filter.x, self._filter.P = state["x"].copy(), state["P"].copy()
+        self._level = None
+        if state["origin"] is not None:
+            self._lay(LocalLevel(*state["origin"]))
+        self._stamp_ns, self._fix_ns = state["stamp_ns"], state["fix_ns"]
+        self._heading_known = state["heading_known"]
+        self._fix, self._start_fix = state["fix"].copy(), state["start_fix"].copy()
+        self._wheels.restore(state["wheels"])
+        self._ahead.restore(state["ahead"])
+        self._complaints = list(state["complaints"])
+
+
+def _start_std(vehicle: Vehicle) -> Array:
+    """Deviations of all states of a vehicle that stands, place and heading being arbitrary."""
+    imu, wheels = vehicle.imu, vehicle.wheels
+    assert imu is not None  # the localiser has looked
+    std = np.zeros(SIZE)
+    std[Ix.SPEED] = START_SPEED_STD_MPS
+    std[Ix.ACCELERATION] = model.LARGE_ACCELERATION_MPS2
+    std[Ix.PITCH] = START_PITCH_STD_RAD
+    std[Ix.RATE_X : Ix.RATE_Z + 1] = model.LARGE_RATE_RADPS
+    std[Ix.ACCEL_SCALE : Ix.GYRO_SCALE_Z + 1] = SCALE_STD
+    std[Ix.ACCEL_WALK] = imu.accel_bias_std_mps2
+    std[Ix.GYRO_WALK_X : Ix.GYRO_WALK_Z + 1] = imu.gyro_bias_std_radps
+    std[Ix.WHEEL_LEFT] = std[Ix.WHEEL_RIGHT] = wheels.scale_std * MESSAGE_S / wheels.m_per_pulse
+    return std
+
+
+def _verdicts(kalman: Kaspar2023Filter, names: Sequence[str]) -> list[Verdict]:
+    """What became of the rows of the last measurement."""
+    return [
+        Verdict(name, innovation, abs(variance), variance > 0.0)
+        for name, (innovation, variance) in zip(names, kalman.taken.tolist(), strict=True)
+    ]

@@ -1,0 +1,135 @@
+"""What a wheel message says to the model kaspar2023: pulses since the message before.
+
+As in the work, the count of one message is the speed at the message's instant, with nothing but
+quantisation for noise. Pulses are counted over the mean interval, for stamps jitter and encoders do
+not, and scaled to the nominal one. Left and right are told by the configuration or by their names;
+otherwise, and where there is only one, the first wheel is taken without the turning term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.kalman import Array
+from tramstream.processor import State
+from tramstream.processors.kaspar2023 import model
+from tramstream.proto.raw_pb2 import Odometry, WheelReading
+
+MESSAGE_S = 0.02
+"""T_o: between two messages of the work's wheels, 50 Hz."""
+QUANTISATION = 1.0 / 3.0
+"""Variance of a count in pulses²: 1/12 of rounding; 1/3 works better (theory.md section 2)."""
+INTERVAL_MEMORY = 0.005
+"""Weight of a new interval in the mean."""
+MAX_PAUSE_S = 0.5
+"""The count of a longer interval says nothing about the speed at its end."""
+MAX_SPEED_MPS = 30.0
+"""Wheels that claim more have been reset."""
+PAIR = ("left", "right")
+
+
+class Reading(NamedTuple):
+    """A measurement for `Kaspar2023Filter.update`."""
+
+    names: tuple[str, ...]
+    z: Array
+    R: Array
+    function: Callable[..., Array]
+    jacobian: Callable[..., Array]
+    arguments: tuple[Any, ...]
+
+
+class Refused(NamedTuple):
+    """Why a message was not used."""
+
+    reason: str
+
+
+class WheelPair:
+    """Remembers the last message, so that the next one can be counted from it.
+
+    Parameters
+    ----------
+    vehicle : tramstream.config.Vehicle
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        configured = vehicle.odometer.wheels if vehicle.odometer is not None else {}
+        self._sides = {name: wheel.side or name for name, wheel in configured.items()}
+        self._m_per_pulse = vehicle.wheels.m_per_pulse
+        self._half_track_m = vehicle.wheels.track_m / 2.0
+        self._speed_std_mps = vehicle.wheels.speed_std_mps
+        self._pulses: dict[str, int] = {}  # last reading by side
+        self._stamp_ns = 0
+        self._interval_s = 0.0  # mean; 0 while there was none
+
+    @property
+    def pulses_per_mps(self) -> float:
+        """k: pulses a message for 1 m/s."""
+        return MESSAGE_S / self._m_per_pulse
+
+    def read(self, odometry: Odometry) -> Reading | Refused | None:
+        """Turn a message into a measurement; None for the first one and after a pause."""
+        chosen = self._chosen(odometry)
+        if not chosen:
+            return None
+        if not all(wheel.HasField("pulses") for wheel in chosen.values()):
+            k = self.pulses_per_mps
+            counted = [wheel.speed_mps * k for wheel in chosen.values()]
+            return self._reading(counted, (self._speed_std_mps * k) ** 2)
+        before, interval_s = self._pulses, (odometry.stamp_ns - self._stamp_ns) / S
+        self._pulses = {side: wheel.pulses for side, wheel in chosen.items()}
+        self._stamp_ns = odometry.stamp_ns
+        if before.keys() != self._pulses.keys() or not 0.0 < interval_s <= MAX_PAUSE_S:
+            return None
+        counts = [self._pulses[side] - before[side] for side in self._pulses]
+        longest_s = max(interval_s, MESSAGE_S)  # stamps that jitter together are no reset
+        most = max(counts, key=abs)
+        if abs(most) * self._m_per_pulse > MAX_SPEED_MPS * longest_s:
+            return Refused(f"wheels jumped by {most} pulses in {interval_s:.3f} s")
+        scale = MESSAGE_S / self._regular_s(interval_s)
+        return self._reading([count * scale for count in counts], QUANTISATION * scale**2)
+
+    def _regular_s(self, interval_s: float) -> float:
+        """The interval without jitter: whole mean ones."""
+        if self._interval_s == 0.0:
+            self._interval_s = interval_s
+        messages = max(round(interval_s / self._interval_s), 1)
+        self._interval_s += INTERVAL_MEMORY * (interval_s / messages - self._interval_s)
+        return messages * self._interval_s
+
+    def _chosen(self, odometry: Odometry) -> dict[str, WheelReading]:
+        """Left and right, in this order, or the first wheel as the only one."""
+        sides = {self._sides.get(wheel.wheel, wheel.wheel): wheel for wheel in odometry.wheels}
+        if all(side in sides for side in PAIR):
+            return {side: sides[side] for side in PAIR}
+        return dict(list(sides.items())[:1])
+
+    def _reading(self, counts: list[float], variance: float) -> Reading:
+        z, R = np.array(counts).reshape(-1, 1), np.diag([variance] * len(counts))
+        k = self.pulses_per_mps
+        if len(counts) == len(PAIR):
+            names = ("wheel_left", "wheel_right")
+            arguments = (k, self._half_track_m)
+            return Reading(names, z, R, model.wheels, model.wheels_jacobian, arguments)
+        return Reading(("wheel",), z, R, model.one_wheel, model.one_wheel_jacobian, (k,))
+
+    def forget(self) -> None:
+        """Count anew from the next message."""
+        self._pulses = {}
+
+    def snapshot(self) -> State:
+        return {
+            "pulses": dict(self._pulses),
+            "stamp_ns": self._stamp_ns,
+            "interval_s": self._interval_s,
+        }
+
+    def restore(self, state: State) -> None:
+        self._pulses, self._stamp_ns = dict(state["pulses"]), state["stamp_ns"]
+        self._interval_s = state["interval_s"]

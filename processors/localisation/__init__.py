@@ -1,0 +1,1 @@
+"""The localisation filter as a processor: which model, which map, which messages."""

@@ -1,0 +1,38 @@
+"""Localisation filters by the name that the configuration gives them, `ekf.model`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tramstream.config import Vehicle
+from tramstream.errors import ConfigError
+from tramstream.estimation.localiser import Localiser
+from tramstream.processors.kaspar2023.localiser import Kaspar2023Localiser
+from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram.trace import TracedLocaliser
+
+MODELS: dict[str, Callable[[Vehicle], Localiser]] = {
+    TramLocaliser.name: TramLocaliser,
+    Kaspar2023Localiser.name: Kaspar2023Localiser,
+}
+
+
+def localiser(vehicle: Vehicle) -> Localiser:
+    """Build the filter that the configuration asks for."""
+    return MODELS[vehicle.ekf.model](vehicle)
+
+
+def traced(vehicle: Vehicle) -> TracedLocaliser:
+    """Build the same filter so that it can be smoothed.
+
+    Raises
+    ------
+    ConfigError
+        If the model has no smoother.
+    """
+    if vehicle.ekf.model != TracedLocaliser.name:
+        raise ConfigError(
+            f"$.ekf.model: {vehicle.ekf.model} has no smoother; "
+            f"{TracedLocaliser.name} is the model that has one"
+        )
+    return TracedLocaliser(vehicle)

@@ -1,0 +1,282 @@
+"""The map matcher: which run of a network the vehicle is on, and where, with what probability.
+
+It takes what a localisation filter says, step by step and causally, and keeps hypotheses over the
+runs (`matching_kernels`). Where the heading is not known yet, it says on which tracks the vehicle
+may stand, anew every second; with the heading, hypotheses begin on every track near by, in both
+directions. A vehicle that leaves the map is said to be off it, and looked for again as it goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tramstream.clock import S
+from tramstream.config import Map
+from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate, OnTrack
+from tramstream.processor import State
+from tramstream.processors.matching import hypotheses as kernels
+from tramstream.processors.matching import step as steps
+from tramstream.tracks.map_frame import MapFrame
+from tramstream.tracks.network import Network
+from tramstream.tracks.rails import Rails, Search, rails_of
+
+SEARCH_STDS = 3.5
+SEARCH_MORE_M, SEARCH_MOST_M = 10.0, 150.0
+"""Tracks are looked for within so many deviations of the estimate, and a bit."""
+WRONG_WAY = 1e-4
+"""Share of vehicles that are met where trams are not meant to go."""
+HEADS_RAD = math.radians(60.0)
+"""No vehicle heads so far off its track, whatever its filter believes at first."""
+GAP_S = 1.0
+"""After a longer silence tracks are looked for anew: nobody knows which way was gone."""
+AGAIN_S = 1.0
+AGAIN_M = 10.0
+"""Tracks are looked for again after so long without a heading, after so long a way off the map."""
+LOST = 0.5
+"""Off the map, if that is likelier than this."""
+FORGET_S = 300.0
+"""Time in which errors of a filter with inertial sensors forget themselves: it averages its fixes
+over minutes."""
+MOVES_MPS = 0.3
+"""From here on the sign of the speed tells the direction of travel."""
+
+
+class Candidate(NamedTuple):
+    """A run that the vehicle may be on."""
+
+    run: int
+    chainage_m: float
+    probability: float
+
+
+class Match(NamedTuple):
+    """What the matcher says at one instant."""
+
+    run: int
+    """In the direction of motion; -1 off the map."""
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    off_probability: float
+    east: float
+    north: float
+    """Of the place on the track, in the plan, m."""
+    others: tuple[Candidate, ...]
+    on_track: OnTrack | None
+    """For the filter, where no doubt is left."""
+    headed: bool
+    """Whether the vehicle's heading is known: before, the direction of a run is a guess."""
+
+
+class Matcher:
+    """Keeps hypotheses over the runs of a network.
+
+    Parameters
+    ----------
+    network : Network
+    settings : Map
+    forget_s : float
+        Time in which errors of the estimates forget themselves.
+    pivot_m : float
+        The vehicle's origin before the point that follows the rails.
+    lever_m : float
+        How far the antenna is from the vehicle's origin, in plan.
+    corrects : bool
+        Whether `Match.on_track` goes back into the filter that the estimates are of.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        settings: Map,
+        forget_s: float = FORGET_S,
+        pivot_m: float = 0.0,
+        lever_m: float = 0.0,
+        corrects: bool = True,
+    ) -> None:
+        self.network = network
+        self._rails = rails_of(network)
+        self._names: dict[int, str] = {}
+        self._search = Search(network)
+        self._corrects = corrects
+        self.memory = np.zeros(kernels.MEMORY)
+        self.memory[kernels.SYNCED] = kernels.NONE
+        self.memory[kernels.DIRECTION] = 1.0
+        self._constants = np.array(
+            [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
+        )
+        self._motion = np.zeros(kernels.MOTION)
+        self._out = np.zeros(steps.OUT)
+        self._stamp_ns = 0
+        self._looked_ns = 0
+        self._way_m = 0.0  # since tracks were looked for
+        self._headed = False
+        self._guessed = False  # the direction of travel
+
+    @property
+    def rails(self) -> Rails:
+        """The network as kernels read it."""
+        return self._rails
+
+    def name_of(self, run: int) -> str:
+        """Name of a run; kept, for it is asked a hundred times a second."""
+        name = self._names.get(run)
+        if name is None:
+            name = self._names[run] = self.network.name_of(run)
+        return name
+
+    @property
+    def east(self) -> float:
+        """Of the last estimate in the plan, m."""
+        return float(self._motion[kernels.EAST])
+
+    @property
+    def north(self) -> float:
+        """See `east`."""
+        return float(self._motion[kernels.NORTH])
+
+    def away_m(self) -> float:
+        """How far the last estimate is from the nearest track."""
+        return self._search.away_m(self.east, self.north)
+
+    @property
+    def hypotheses(self) -> int:
+        """How many there are."""
+        return int(self.memory[kernels.COUNT])
+
+    def step(self, estimate: Estimate, frame: MapFrame) -> Match | None:
+        """Take an estimate; None while nothing is known.
+
+        Parameters
+        ----------
+        frame : MapFrame
+            Between the estimate's frame `l` and the network's plan; moved along.
+        """
+        if estimate.mode == STARTING:
+            return None
+        frame.follow(*estimate.p_l)
+        z = self._motion
+        dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        headed = estimate.mode != HEADING_UNKNOWN
+        gap = dt > GAP_S
+        z[kernels.STEP] = min(max(dt, 0.0), GAP_S)
+        z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
+        self._stamp_ns = estimate.stamp_ns
+        steps.advance(
+            self.memory,
+            self._rails,
+            estimate.values,
+            frame.numbers,
+            self._constants,
+            z,
+            self._out,
+        )
+        if self._due(estimate, headed) or gap:
+            self._look(headed)
+            steps.summary(
+                self.memory, self._rails, z, self._constants, frame.numbers, False, self._out
+            )
+        if not self._corrects:
+            self.memory[kernels.SYNCED] = kernels.NONE
+        return self._match(headed)
+
+    # Where hypotheses come from ------------------------------------------------------------------
+    def _due(self, estimate: Estimate, headed: bool) -> bool:
+        """Whether tracks are to be looked for."""
+        z = self._motion
+        if headed != self._headed:
+            self._headed = headed
+            return True
+        if not headed:
+            return estimate.stamp_ns - self._looked_ns >= AGAIN_S * S
+        if self._guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
+            self._guessed = False
+            return bool(z[kernels.SPEED] * self.memory[kernels.DIRECTION] < 0.0)
+        if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
+            return False
+        self._way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
+        return self._way_m >= AGAIN_M
+
+    def _look(self, headed: bool) -> None:
+        """Begin anew with all tracks near the estimate."""
+        z, memory = self._motion, self.memory
+        self._looked_ns, self._way_m = self._stamp_ns, 0.0
+        memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
+        memory[kernels.SYNCED] = kernels.NONE
+        speed = z[kernels.SPEED]
+        self._guessed = abs(speed) <= MOVES_MPS
+        if not self._guessed:
+            memory[kernels.DIRECTION] = math.copysign(1.0, speed)
+        std = math.sqrt(max(z[kernels.P_EE], z[kernels.P_NN], 0.0))
+        radius = min(SEARCH_STDS * std + SEARCH_MORE_M, SEARCH_MOST_M)
+        place = float(z[kernels.EAST]), float(z[kernels.NORTH])
+        found = self._search.near(*place, radius)
+        limit = HEADS_RAD + 2.0 * math.sqrt(z[kernels.P_YAW])
+        direction = float(memory[kernels.DIRECTION])
+        begun = []
+        for near in found:
+            for back in (0, 1):
+                run = 2 * near.track + back
+                yaw = near.yaw_rad + math.pi * back
+                if headed and abs(math.remainder(yaw - z[kernels.YAW], math.tau)) > limit:
+                    continue
+                length = float(self._rails.length_m[near.track])
+                s = length - near.chainage_m if back else near.chainage_m
+                legal = steps.allowed(self._rails, run, direction)
+                begun.append((run, s, 1.0 if legal else WRONG_WAY))
+        memory[kernels.OFF] = math.log(kernels.OFF_PRIOR / (2.0 * kernels.OFF_RADIUS_M))
+        if headed:
+            memory[kernels.OFF] -= math.log(math.tau)
+        for run, s, prior in begun[: kernels.MOST]:
+            kernels.seed(memory, self._rails, z, self._constants, run, s, prior / len(begun))
+        kernels.tidy(memory)
+
+    # What comes out ------------------------------------------------------------------------------
+    def _match(self, headed: bool) -> Match:
+        out: list[float] = self._out.tolist()
+        best, off = out[steps.BEST], out[steps.OFF_PROBABILITY]
+        others = tuple(self._other(out, k) for k in range(int(out[steps.OTHERS])))
+        if best < 0.0 or off > LOST:
+            return Match(-1, 0.0, 0.0, 0.0, off, 0.0, 0.0, others, None, headed)
+        on_track = OnTrack(*out[steps.CERTAINLY + 1 : steps.OUT]) if out[steps.CERTAINLY] else None
+        return Match(
+            int(out[steps.EDGE]),
+            out[steps.EDGE_CHAINAGE],
+            out[steps.ALONG_STD],
+            out[steps.PROBABILITY],
+            off,
+            out[steps.MATCHED_EAST],
+            out[steps.MATCHED_NORTH],
+            others,
+            on_track,
+            headed,
+        )
+
+    def _other(self, out: list[float], k: int) -> Candidate:
+        """Another run, in the direction of motion."""
+        run, s, probability = out[steps.OTHER + 3 * k : steps.OTHER + 3 * k + 3]
+        length = float(self._rails.length_m[int(run) >> 1])
+        s = min(max(s, 0.0), length)
+        if self.memory[kernels.DIRECTION] > 0.0:
+            return Candidate(int(run), s, probability)
+        return Candidate(int(run) ^ 1, length - s, probability)
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> State:
+        return {
+            "memory": self.memory.copy(),
+            "stamp_ns": self._stamp_ns,
+            "looked_ns": self._looked_ns,
+            "way_m": self._way_m,
+            "headed": self._headed,
+            "guessed": self._guessed,
+        }
+
+    def restore(self, state: State) -> None:
+        self.memory[:] = state["memory"]
+        self._stamp_ns, self._looked_ns = state["stamp_ns"], state["looked_ns"]
+        self._way_m, self._headed = state["way_m"], state["headed"]
+        self._guessed = state["guessed"]

@@ -1,0 +1,1 @@
+"""The localiser `tram`: states, motion, measurements, modes, smoother."""

@@ -1,0 +1,135 @@
+"""What the model `tram` says: an `Estimate` out of its memory, with or without a heading."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tramstream.estimation.kalman import Array
+from tramstream.estimation.localiser import (
+    ACCELERATION,
+    COVARIANCE,
+    HEADING_UNKNOWN,
+    VALUES,
+    YAW_RATE,
+    Estimate,
+    Learned,
+    Verdict,
+    values_of,
+)
+from tramstream.processors.tram import axes as frames
+from tramstream.processors.tram.filter import STANDING_STD_MPS
+from tramstream.processors.tram.motion import COVARIANCE as COVARIANCE_OF_STATE
+from tramstream.processors.tram.motion import STATE
+from tramstream.processors.tram.states import SIZE, UNITS, Ix
+
+SPEED_VARIANCE = COVARIANCE + int(Ix.SPEED) * 8
+"""In the values of an estimate, whose covariance has seven columns."""
+NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
+"""Of an angle that may be any."""
+
+
+def estimate_of(
+    m: Array, c: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+) -> Estimate:
+    """Give the motion of the vehicle's origin out of the filter's memory; see `say`."""
+    values = np.empty(VALUES)
+    frames.say(m, c, mode != HEADING_UNKNOWN, values)
+    return of_values(values, stamp_ns, mode, standing, verdicts)
+
+
+def of_values(
+    values: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+) -> Estimate:
+    """Say so of a vehicle that stands that it may have begun to move, and nobody has seen it yet.
+
+    The filter itself takes a thousand readings of no speed for as many proofs.
+    """
+    if standing:
+        values[SPEED_VARIANCE] += STANDING_STD_MPS**2
+    return Estimate(stamp_ns, mode, values, standing, verdicts)
+
+
+def without_heading(
+    estimate: Estimate, lever_arm_m: Sequence[float], of_antenna: bool = True
+) -> Estimate:
+    """Say of a vehicle that its heading is not known, and so not where it is about its antenna.
+
+    Parameters
+    ----------
+    lever_arm_m : sequence of 3 float
+        From the vehicle's origin to the antenna, frame v.
+    of_antenna : bool
+        Whether the estimate's position is the antenna's.
+    """
+    said = replace(estimate, values=estimate.values.copy())
+    motion, covariance = said.motion, said.covariance
+    x, y, z = lever_arm_m
+    covariance[:2, :2] += np.eye(2) * (x * x + y * y)
+    if of_antenna:
+        motion[Ix.UP] -= z
+    motion[Ix.YAW] = said.values[ACCELERATION] = said.values[YAW_RATE] = 0.0
+    covariance[Ix.YAW, :] = covariance[:, Ix.YAW] = 0.0
+    covariance[Ix.YAW, Ix.YAW] = NO_HEADING_STD_RAD**2
+    return said
+
+
+def at_fix(
+    estimate: Estimate,
+    p_l: tuple[float, float, float],
+    stds_m: tuple[float, float],
+    speed_mps: float,
+    age_s: float,
+    lever_arm_m: Sequence[float],
+) -> Estimate:
+    """Say of a vehicle that moves, with its heading unknown: where the last fix was.
+
+    `stds_m` are the fix's deviations, of each horizontal axis and of the height.
+    """
+    moved = without_heading(estimate, lever_arm_m)
+    covariance = moved.covariance
+    x, y, z = lever_arm_m
+    moved.motion[:4] = (p_l[0], p_l[1], p_l[2] - z, speed_mps)
+    covariance[:4, :] = covariance[:, :4] = 0.0
+    way_m2 = (speed_mps * age_s) ** 2
+    level, upright = stds_m[0] ** 2 + way_m2 + x * x + y * y, stds_m[1] ** 2 + way_m2
+    covariance[:4, :4] = np.diag([level, level, upright, max(1.0, speed_mps) ** 2])
+    return moved
+
+
+def learned(m: Array) -> list[Learned]:
+    """Give what a filter with memory `m` has learned."""
+    values = m[STATE].tolist()
+    variances = m[COVARIANCE_OF_STATE].reshape(SIZE, SIZE).diagonal().tolist()
+    return [
+        Learned(slot.name.lower(), values[slot], math.sqrt(max(variances[slot], 0.0)), unit)
+        for slot, unit in UNITS.items()
+    ]
+
+
+def plain(estimate: Estimate) -> dict[str, Any]:
+    """Fields of an estimate as plain data, without the verdicts that led to it."""
+    return {
+        "stamp_ns": estimate.stamp_ns,
+        "mode": int(estimate.mode),
+        "motion": estimate.motion.copy(),
+        "covariance": estimate.covariance.copy(),
+        "acceleration_mps2": estimate.acceleration_mps2,
+        "yaw_rate_radps": estimate.yaw_rate_radps,
+        "standing": estimate.standing,
+    }
+
+
+def from_plain(fields: dict[str, Any]) -> Estimate:
+    """Give the estimate that `plain` took apart."""
+    values = values_of(
+        fields["motion"],
+        fields["covariance"],
+        fields["acceleration_mps2"],
+        fields["yaw_rate_radps"],
+    )
+    return Estimate(fields["stamp_ns"], fields["mode"], values, fields["standing"])

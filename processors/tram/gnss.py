@@ -1,0 +1,205 @@
+"""GNSS fixes for the model `tram`: what they are worth, and what to do when they do not fit.
+
+Neighbouring fixes share their error (multipath, atmosphere), so it has states of its own, and the
+receiver's accuracy is its least size. Standing, the surroundings stand still too: the error then
+only walks, and a drift of the fixes does not move the vehicle. A fix that jumps is refused; if the
+jump stays, the error has jumped, not the vehicle; and if the error stays absurd over a good way,
+the vehicle was thought to be elsewhere and is taken where the fixes are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.fixes import antenna_l, deviations
+from tramstream.estimation.localiser import Verdict
+from tramstream.geodesy import LocalLevel
+from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram.states import Ix, Pm
+from tramstream.proto.gnss_pb2 import GnssFix
+
+WHITE_SHARE = 0.1
+"""Part of the deviation that neighbouring fixes do not share."""
+WHITE_FLOOR_M = 0.01
+"""Noise of a carrier-phase fix, which neighbours do not share."""
+NEW_REGIME = 2.0
+"""Accuracy that changes by this factor is a new situation with an error of its own."""
+HEAVY_SIGMA = 2.5
+"""Beyond this the error is taken for larger than stated: its noise grows with it."""
+ABSORB_S = 8.0
+"""Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
+first fix was as old, it was the first ones that were wrong."""
+ABSURD_SIGMA = 8.0
+ABSURD_S = 60.0
+ABSURD_M = 200.0
+"""An error beyond so many deviations for so long and so far is the position's."""
+HUGE_M = 100.0
+HUGE_S = 20.0
+"""One of this size is none of multipath; the vehicle need not move until it is the position's."""
+TURNED_STD_RAD = 0.2
+"""Whoever was elsewhere than thought may face elsewhere than thought."""
+HOPELESS = 3
+HOPELESS_S = 600.0
+"""Taken from the fixes so often within so long, the filter does not know what it does."""
+VELOCITY_FLOOR_MPS = 0.03
+VELOCITY_STD_MPS = 0.5
+"""Of one whose receiver says nothing of its accuracy."""
+FASTEST_MPS = 100.0
+"""No rail vehicle of this house is faster; a velocity beyond is none."""
+
+
+def velocity(fix: GnssFix) -> tuple[float, float] | None:
+    """East and north, m/s, if the receiver has measured what can be a velocity."""
+    if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
+        return None
+    east, north = fix.vel_e_mps, fix.vel_n_mps
+    return (east, north) if abs(east) + abs(north) < FASTEST_MPS else None
+
+
+def doubts(fix: GnssFix) -> list[str]:
+    """Sentences on what is taken of a usable fix for less than it claims to be."""
+    found = []
+    if not (math.isfinite(fix.horizontal_std_m) and fix.horizontal_std_m > 0.0):
+        found.append("a fix without a usable accuracy was taken for a poor one")
+    if fix.HasField("vel_e_mps") and velocity(fix) is None:
+        found.append("a fix's velocity that cannot be was left out")
+    return found
+
+
+class Fixes:
+    """Feeds fixes to the filter."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        gnss = vehicle.gnss
+        self.floor_m = gnss.error_floor_m if gnss else 0.005
+        self.tau_s = gnss.error_tau_s if gnss else 20.0
+        self._std_m = 0.0  # of the present regime; 0 before the first fix
+        self._refused_ns = 0  # since when; 0 if the last was taken
+        self._absurd_ns = 0
+        self._absurd_m = 0.0
+        self._begun_ns = 0  # first fix
+        self._last_ns = 0
+        self.accepted_ns = 0
+        """Stamp of the last fix that was believed."""
+        self._taken_ns: list[int] = []  # when the position was taken from the fixes
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the position has been taken from the fixes again and again."""
+        return len(self._taken_ns) >= HOPELESS
+
+    def renew(self, ekf: TramFilter) -> None:
+        """The error of the fixes is another one: after a long pause."""
+        ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1] = 0.0
+        self._std_m, self._refused_ns, self._absurd_ns, self._absurd_m = 0.0, 0, 0, 0.0
+
+    def take(
+        self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
+    ) -> tuple[list[Verdict], str]:
+        """Take a usable fix; the filter is at its stamp. Gives the verdicts, and a sentence."""
+        std, std_up = deviations(fix, self.floor_m)
+        self._begun_ns = self._begun_ns or fix.stamp_ns
+        self._set_noise(ekf, std, std_up)
+        z = antenna_l(fix, level)
+        verdicts = ekf.position(
+            z, max(WHITE_SHARE * std, WHITE_FLOOR_M), max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
+        )
+        if not verdicts[2].accepted:
+            self._absorb_height(ekf, verdicts[2].innovation, std_up)
+        refused = not verdicts[0].accepted
+        sentence = self._refuse(fix.stamp_ns, verdicts, ekf, std) if refused else ""
+        if not refused:
+            self._refused_ns = 0
+        measured = None if standing else velocity(fix)
+        if measured is not None:
+            verdicts += ekf.velocity(measured, _velocity_std(fix))
+        sentence = self._doubt(fix.stamp_ns, ekf, std, standing) or sentence
+        if not refused and self._absurd_ns == 0:
+            self.accepted_ns = fix.stamp_ns
+        self._last_ns = fix.stamp_ns
+        return verdicts, sentence
+
+    def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
+        c = ekf.parameters
+        if self._std_m == 0.0 or not 1 / NEW_REGIME < std / self._std_m < NEW_REGIME:
+            if self._std_m != 0.0:
+                ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1] = 0.0
+            slots = (Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP)
+            ekf.forget(slots, (std, std, std_up))
+            self._std_m = std
+        east, north, up = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1].tolist()
+        heavy = max(1.0, (east * east + north * north) / (HEAVY_SIGMA * std) ** 2)
+        heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        white = 1.0 - WHITE_SHARE**2
+        c[Pm.GNSS_DENSITY] = 2.0 * white * std * std * heavy / self.tau_s
+        c[Pm.GNSS_UP_DENSITY] = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
+        c[Pm.GNSS_DECAY] = 1.0 / self.tau_s
+
+    def _refuse(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> str:
+        self._refused_ns = self._refused_ns or stamp_ns
+        if stamp_ns - self._refused_ns < ABSORB_S * S:
+            return ""
+        young = self._refused_ns - self._begun_ns < ABSORB_S * S
+        self._refused_ns = 0
+        east, north = (verdict.innovation for verdict in verdicts[:2])
+        if young:
+            error = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
+            self._move(ekf, error[0] + east, error[1] + north, std)
+            return "the first fixes were far from all that came; the position is taken from these"
+        for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
+            ekf.memory[slot] += innovation
+            ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
+        return "fixes have not fitted the motion for long; their error is taken for larger"
+
+    def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
+        """Let the position be elsewhere, where fixes without an error would have it."""
+        x = ekf.memory
+        x[Ix.EAST] += east
+        x[Ix.NORTH] += north
+        x[Ix.GNSS_EAST] = x[Ix.GNSS_NORTH] = 0.0
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
+
+    def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
+        """A height that jumps has a new error: nobody waits for heights."""
+        ekf.memory[Ix.GNSS_UP] += innovation
+        ekf.forget((Ix.GNSS_UP,), (max(std_up, abs(float(ekf.memory[Ix.GNSS_UP]))),))
+
+    def _doubt(self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool) -> str:
+        """Take the position where the fixes are when their error has been absurd for long."""
+        east, north = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
+        error = math.hypot(east, north)
+        if error < ABSURD_SIGMA * std:
+            self._absurd_ns, self._absurd_m = 0, 0.0
+            return ""
+        if standing and error < HUGE_M:
+            return ""
+        if self._absurd_ns == 0:
+            self._absurd_ns = stamp_ns
+        dt_s = min((stamp_ns - self._last_ns) / S, 2.0)
+        self._absurd_m += 0.0 if standing else abs(float(ekf.memory[Ix.SPEED])) * dt_s
+        lasted_s = (stamp_ns - self._absurd_ns) / S
+        for_long = lasted_s > ABSURD_S and self._absurd_m > ABSURD_M
+        if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):
+            return ""
+        self._absurd_ns, self._absurd_m = 0, 0.0
+        recent = [each for each in self._taken_ns if stamp_ns - each < HOPELESS_S * S]
+        self._taken_ns = [*recent, stamp_ns]
+        self._move(ekf, east, north, std)
+        ekf.widen(Ix.YAW, TURNED_STD_RAD)
+        return "the position was away from the fixes for long; it is taken from them again"
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return vars(self) | {"_taken_ns": list(self._taken_ns)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, list(value) if name == "_taken_ns" else value)
+
+
+def _velocity_std(fix: GnssFix) -> float:
+    std = fix.speed_std_mps
+    return max(std, VELOCITY_FLOOR_MPS) if 0.0 < std < FASTEST_MPS else VELOCITY_STD_MPS

@@ -1,0 +1,212 @@
+"""The search for the heading, from a departure until one direction of travel is believed.
+
+    keeping ──displacements tell the line of motion──▶ trying ──one is much likelier──▶ found
+       └──stands again, or too long──▶ failed
+
+*Keeping*: the frames are kept while the displacements between fixes are summed (`alignment`).
+*Trying*: the filter, set back to the departure, goes through the kept frames with a heading, once
+for either direction of travel where the wheels do not tell it; from then on both go on side by
+side, frame by frame, until curves or acceleration have told them apart.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.estimation.kalman import Array
+from tramstream.estimation.localiser import Verdict
+from tramstream.processors.tram.alignment import Alignment
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.states import Ix, Pm
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.sync_pb2 import SyncFrame
+
+KEEP_S = 120.0
+"""Frames of so long are kept."""
+YOUNG_S = 2.0
+"""An older fix tells nothing of the place of the departure."""
+HEADING_PRIOR_RAD = 0.35
+"""The heading that displacements gave is only where the filter begins: it sees the same fixes."""
+SPEED_PRIOR_MPS = 3.0
+FORWARDS = 2.0
+"""Trams run forwards far more often than not: in terms of log-likelihood."""
+SURE = 20.0
+"""Difference of log-likelihood at which a direction is taken. On a straight at constant speed it
+stays within 5 either way; the first acceleration or curve makes it hundreds."""
+UNSURE_WAY_M = 300.0
+"""After so long a way the likelier direction is taken, however little."""
+_SIDES = slice(int(Pm.OFFSET_A), int(Pm.OFFSET_B) + 1)
+"""Where the wheels are, which may have been met since the departure."""
+
+
+class Search:
+    """One departure.
+
+    Parameters
+    ----------
+    navigation : Navigation
+        As it is at the departure, without a heading.
+    fix : GnssFix or None
+        The last one before.
+    """
+
+    def __init__(self, navigation: Navigation, fix: GnssFix | None) -> None:
+        self.found = self.failed = False
+        self._anchor = navigation.snapshot()
+        self._departed_ns = navigation.stamp_ns
+        self._rested = navigation.stood
+        self._kept: list[SyncFrame] = []
+        self._last_ns = navigation.stamp_ns
+        self._turned = 0.0
+        self._alignment = Alignment(navigation.fixes.tau_s)
+        self._tried: list[dict[str, Any]] = []
+        """Either direction: `sign`, `likelihood`, `navigation`; the likelier first."""
+        if fix is not None and navigation.stamp_ns - fix.stamp_ns < YOUNG_S * S:
+            self._see(navigation, fix, 0.0)
+
+    @property
+    def trying(self) -> bool:
+        """Whether the navigation moves with the vehicle, though its heading may be opposite."""
+        return bool(self._tried)
+
+    def take(
+        self,
+        navigation: Navigation,
+        frame: SyncFrame,
+        standing: bool,
+        noise: Array | None,
+        speed_mps: float,
+        vehicle: Vehicle,
+    ) -> list[Verdict]:
+        """Take a frame whose inertial reading `navigation` has; leaves it with what is likeliest.
+
+        Parameters
+        ----------
+        noise : ndarray, shape (6,), or None
+            See `Navigation.run`.
+        speed_mps : float
+            Over ground, as GNSS last measured it.
+        """
+        self._follow(navigation, frame)
+        if self._tried:
+            return self._go_on(navigation, frame, standing, noise)
+        self._kept.append(frame)
+        for reading in frame.odometry:
+            if not navigation.wheels.known:
+                navigation.wheels.meet(reading, navigation.ekf)
+            navigation.wheels.note(reading)
+        if standing or frame.stamp_ns - self._departed_ns > KEEP_S * S:
+            self.failed = True
+        elif self._alignment.ready:
+            return self._try(navigation, noise, speed_mps, vehicle)
+        return []
+
+    def give_up(self, navigation: Navigation) -> None:
+        """Set the filter back to the departure: what it knows of the sensors stays."""
+        wheels, stamp_ns = navigation.wheels.snapshot(), self._last_ns
+        sides = navigation.ekf.parameters[_SIDES].copy()
+        navigation.restore(self._anchor)
+        navigation.wheels.restore(wheels)
+        navigation.ekf.parameters[_SIDES] = sides
+        navigation.stamp_ns = stamp_ns
+
+    # Displacements -------------------------------------------------------------------------------
+    def _follow(self, navigation: Navigation, frame: SyncFrame) -> None:
+        dt_s = (frame.stamp_ns - self._last_ns) / S
+        bias = float(navigation.ekf.memory[Ix.GYRO_Z])
+        self._turned += (float(navigation.inputs[2, 2]) - bias) * dt_s
+        self._last_ns = frame.stamp_ns
+        for fix in frame.gnss:
+            self._see(navigation, fix, (fix.stamp_ns - self._departed_ns) / S)
+
+    def _see(self, navigation: Navigation, fix: GnssFix, time_s: float) -> None:
+        if fix.valid and not unusable(fix, navigation.level):
+            east, north, _ = antenna_l(fix, navigation.level)
+            std = navigation.accuracy_m(fix)
+            self._alignment.take(time_s, east, north, self._turned, std)
+
+    # Directions ----------------------------------------------------------------------------------
+    def _try(
+        self, navigation: Navigation, noise: Array | None, speed_mps: float, vehicle: Vehicle
+    ) -> list[Verdict]:
+        counted = navigation.wheels.counted(self._kept)
+        direction = navigation.wheels.direction(counted)
+        verdicts: dict[float, list[Verdict]] = {}
+        for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
+            navigation.restore(self._anchor)
+            ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad
+            navigation.face(
+                yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD, vehicle
+            )
+            navigation.wheels.run(sign, counted, ekf)
+            if not self._rested:
+                ekf.memory[Ix.SPEED] = sign * speed_mps
+                ekf.forget((Ix.SPEED,), (SPEED_PRIOR_MPS,))
+            ekf.log_likelihood_sum = FORWARDS if sign > 0.0 else 0.0
+            for frame in self._kept:
+                inertial = navigation.read(frame)
+                verdicts[sign] = navigation.run(frame, False, noise if inertial else None)
+            self._tried.append(_state(sign, navigation))
+        self._kept = []
+        return verdicts[self._decide(navigation)]
+
+    def _go_on(
+        self, navigation: Navigation, frame: SyncFrame, standing: bool, noise: Array | None
+    ) -> list[Verdict]:
+        verdicts: dict[float, list[Verdict]] = {}
+        for number, tried in enumerate(self._tried):
+            _load(navigation, tried)
+            inertial = navigation.read(frame)
+            verdicts[tried["sign"]] = navigation.run(frame, standing, noise if inertial else None)
+            self._tried[number] = _state(tried["sign"], navigation)
+        return verdicts[self._decide(navigation)]
+
+    def _decide(self, navigation: Navigation) -> float:
+        """Leave `navigation` with the likelier direction, which it returns."""
+        self._tried.sort(key=lambda each: -float(each["likelihood"]))
+        first, last = self._tried[0], self._tried[-1]
+        _load(navigation, first)
+        sure = len(self._tried) == 1 or not first["likelihood"] - last["likelihood"] < SURE
+        self.found = sure or self._alignment.way_m > UNSURE_WAY_M
+        return float(first["sign"])
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "found": self.found,
+            "failed": self.failed,
+            "anchor": self._anchor,
+            "departed_ns": self._departed_ns,
+            "rested": self._rested,
+            "kept": [frame.SerializeToString() for frame in self._kept],
+            "last_ns": self._last_ns,
+            "turned": self._turned,
+            "alignment": self._alignment.snapshot(),
+            "tried": list(self._tried),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.found, self.failed = state["found"], state["failed"]
+        self._anchor, self._tried = state["anchor"], list(state["tried"])
+        self._departed_ns, self._rested = state["departed_ns"], state["rested"]
+        self._kept = [SyncFrame.FromString(data) for data in state["kept"]]
+        self._last_ns, self._turned = state["last_ns"], state["turned"]
+        self._alignment.restore(state["alignment"])
+
+
+def _state(sign: float, navigation: Navigation) -> dict[str, Any]:
+    likelihood = navigation.ekf.log_likelihood_sum
+    return {
+        "sign": sign,
+        "likelihood": likelihood if math.isfinite(likelihood) else -math.inf,
+        "navigation": navigation.snapshot(),
+    }
+
+
+def _load(navigation: Navigation, tried: dict[str, Any]) -> None:
+    navigation.restore(tried["navigation"])
+    navigation.ekf.log_likelihood_sum = tried["likelihood"]

@@ -1,0 +1,395 @@
+"""The localiser `tram`: finds place and heading by itself, then runs the filter.
+
+    waiting ──first usable fix──▶ resting ──moves──▶ seeking ──heading known──▶ running
+                                     ▲                  │                          │
+                                     └─stands too early─┘◀──silent for too long────┘
+
+*Resting*: the filter runs without a heading, which a vehicle that stands does not need; it learns
+biases and averages nothing, for fixes at a stop share their error. *Seeking*: the vehicle moves;
+see `tram_search`. *Running*: the filter as it is. When nothing has told of the motion for long, the
+vehicle is looked for again, with all that has been learned of its sensors; one that stood before
+and has not moved is taken to stand there yet (`tram_outage`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
+from tramstream.geodesy import LocalLevel
+from tramstream.processor import State
+from tramstream.processors.tram import estimate as estimates
+from tramstream.processors.tram.filter import GYRO_Z, SPEED, SPEED_VARIANCE
+from tramstream.processors.tram.gnss import doubts, velocity
+from tramstream.processors.tram.heading import Search
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.outage import Parked, Silence
+from tramstream.processors.tram.predictor import Ahead
+from tramstream.processors.tram.standstill import Standstill
+from tramstream.processors.tram.states import Ix
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
+from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
+
+SILENT_S = 0.5
+"""Neither inertial nor wheel reading for so long: the sensors have fallen silent."""
+BLIND_S = 5.0
+"""After such a silence the heading is sought anew: a tram turns by 45° in less."""
+UNSEEN_MPS = 15.0
+"""How fast a vehicle moves that nobody sees."""
+HEARD_S = 0.5
+"""Wheels read within so long tell how far the vehicle has come."""
+BACK_S = 5.0
+"""Time that goes on from an earlier instant for so long is a clock that was set back."""
+FAR_S = 10.0
+FAR_LATEST_S = 120.0
+"""Fixes far from where the ride began for so long, or for as long as the ride has lasted if that is
+between the two: it was the first fix that was wrong."""
+
+
+class TramLocaliser:
+    """See the module; keeps `tramstream.estimation.localiser.Localiser`."""
+
+    name = "tram"
+    navigation_type: type[Navigation] = Navigation
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._navigation: Navigation | None = None
+        self._lever_arm_m = vehicle.gnss.lever_arm_m if vehicle.gnss else (0.0, 0.0, 0.0)
+        self._standstill = Standstill()
+        self._aligned = False
+        self._search: Search | None = None
+        self._silence = Silence(vehicle)
+        self._parked: Parked | None = None
+        self._heard_ns = 0  # last inertial or wheel reading
+        self._wheels_ns = 0
+        self._way_m = 0.0  # at most, since the last usable fix
+        self._last_fix: GnssFix | None = None  # usable
+        self._begun_ns = 0
+        self._stamp_ns = 0
+        self._back_ns = (0, 0)  # first and last stamp of frames that went on from an earlier time
+        self._far_ns = (0, 0)  # first and last of those fixes in a row that are far away
+        self._inertial = False
+        self._complaints: list[str] = []
+        self._ahead = Ahead(vehicle)
+        self._last: Estimate | None = None
+
+    @property
+    def level(self) -> LocalLevel | None:
+        return self._navigation.level if self._navigation is not None else None
+
+    # One frame -----------------------------------------------------------------------------------
+    def take(self, frame: SyncFrame) -> Estimate | None:
+        stamp_ns = frame.stamp_ns
+        if stamp_ns <= self._stamp_ns and not self._set_back(stamp_ns):
+            return None
+        gap_s = (stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        self._stamp_ns = stamp_ns
+        navigation = self._navigation
+        if self._silence.see(frame):
+            slipping_s = navigation.wheels.slipping_s(self._stamp_ns) if navigation else 0.0
+            self._complaints += self._silence.sentences(self._stamp_ns, slipping_s)
+        if navigation is None:
+            navigation = self._wait(frame)
+            if navigation is None:
+                return None
+        self._listen(navigation, frame)
+        standing = self._observe(navigation, frame, gap_s)
+        noise = self._standstill.noise if self._inertial else None
+        if self._aligned:
+            verdicts = navigation.run(frame, standing, noise)
+        else:
+            verdicts = self._seek(navigation, frame, standing)
+        if self._parked is not None:
+            self._wake(self._parked, navigation, frame, standing)
+        if navigation.complaints:
+            self._complaints += navigation.complaints
+            navigation.complaints.clear()
+        if navigation.fixes.hopeless:
+            self._begin_again("the position was taken from the fixes again and again")
+            return None
+        if self._far_ns[0] and self._began_elsewhere():
+            self._begin_again("fixes stay far away from where the ride began")
+            return None
+        self._last = self._estimate(navigation, standing, verdicts)
+        return self._last
+
+    def _wait(self, frame: SyncFrame) -> Navigation | None:
+        """Begin at the first usable fix."""
+        for fix in frame.gnss:
+            if not fix.valid:
+                continue
+            reason = unusable(fix, None)
+            if reason:
+                self._complaints.append(f"{reason} was left out")
+                continue
+            level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
+            self._navigation = navigation = self.navigation_type(self._vehicle, level)
+            navigation.stamp_ns = self._begun_ns = frame.stamp_ns
+            navigation.unface()
+            return navigation
+        return None
+
+    def _observe(self, navigation: Navigation, frame: SyncFrame, gap_s: float) -> bool:
+        """Read the sensors and tell whether the vehicle stands."""
+        self._inertial = navigation.read(frame)
+        standstill = self._standstill
+        counted_m = 0.0
+        for reading in frame.odometry:
+            counted_m += self._count(reading)
+        n, stamp_ns = navigation.ekf.numbers, self._stamp_ns
+        speed, variance = (n[SPEED], n[SPEED_VARIANCE]) if self._aligned else (math.nan, 0.0)
+        u = navigation.reading if self._inertial else None
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, n[GYRO_Z])
+        if not standing:
+            heard = stamp_ns - self._wheels_ns < HEARD_S * S
+            self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
+        for fix in frame.gnss:
+            if fix.valid:
+                self._see(navigation, fix)
+        return standing
+
+    def _count(self, reading: Odometry) -> float:
+        """How far the wheels have turned since the last reading, m."""
+        assert self._navigation is not None
+        turned = self._navigation.wheels.turned(reading)
+        if turned is None:
+            return 0.0
+        self._standstill.wheels(reading.stamp_ns, turned[0])
+        self._wheels_ns = reading.stamp_ns
+        return abs(turned[1])
+
+    def _see(self, navigation: Navigation, fix: GnssFix) -> None:
+        """Take note of a fix, apart from the filter."""
+        reason = unusable(fix, navigation.level)
+        if reason:
+            self._complaints.append(f"{reason} was left out")
+            if not unusable(fix, None):
+                self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
+            return
+        self._complaints += doubts(fix)
+        self._far_ns = (0, 0)
+        speed = self._speed_over_ground(navigation, fix)
+        if speed is not None:
+            self._standstill.speed_over_ground(fix.stamp_ns, speed)
+        self._last_fix, self._way_m = fix, 0.0
+
+    def _speed_over_ground(self, navigation: Navigation, fix: GnssFix) -> float | None:
+        """What the receiver measured, or else how far apart two neighbouring fixes are."""
+        measured = velocity(fix)
+        if measured is not None:
+            return math.hypot(*measured)
+        last = self._last_fix
+        if last is None or not 0 < fix.stamp_ns - last.stamp_ns < 3 * S:
+            return None
+        a, b = antenna_l(last, navigation.level), antenna_l(fix, navigation.level)
+        dt_s = (fix.stamp_ns - last.stamp_ns) / S
+        # Neighbours share most of their error; what they do not share is no motion.
+        noise = 0.2 * navigation.accuracy_m(fix)
+        return max(0.0, math.hypot(b[0] - a[0], b[1] - a[1]) - noise) / dt_s
+
+    # Without a heading ---------------------------------------------------------------------------
+    def _seek(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> list[Verdict]:
+        noise = self._standstill.noise if self._inertial else None
+        if self._search is None:
+            if standing:
+                return navigation.run(frame, True, noise)
+            if self._heard_ns and self._stamp_ns - self._heard_ns > SILENT_S * S:
+                self._lose(navigation)
+                return []
+            self._search = Search(navigation, self._last_fix)
+        search, speed_mps = self._search, self._standstill.speed_over_ground_mps
+        verdicts = search.take(navigation, frame, standing, noise, speed_mps, self._vehicle)
+        if search.found:
+            self._aligned, self._parked = True, None
+        elif search.failed:
+            search.give_up(navigation)
+            self._place_again(navigation)
+        if search.found or search.failed:
+            self._search = None
+        return verdicts
+
+    def _place_again(self, navigation: Navigation) -> None:
+        """Nothing is known of the place but the last fix, and how far that may be."""
+        ekf, fix, std, std_up = navigation.ekf, self._last_fix, 1000.0, 1000.0
+        if fix is not None:
+            ekf.memory[Ix.EAST : Ix.UP + 1] = antenna_l(fix, navigation.level)
+            stated = navigation.accuracies_m(fix)
+            std, std_up = (math.hypot(3.0 * each, self._way_m) for each in stated)
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std_up))
+        ekf.memory[Ix.SPEED] = 0.0
+        ekf.forget((Ix.SPEED,), (0.0,))
+
+    # Silence -------------------------------------------------------------------------------------
+    def _lose(self, navigation: Navigation) -> None:
+        """Let time pass until now of which nothing is known but what the sensors' errors do."""
+        navigation.ekf.rest((self._stamp_ns - navigation.stamp_ns) / S)
+        navigation.fixes.renew(navigation.ekf)
+        for wheel in (0, 1):
+            navigation.ekf.tie(wheel, 0.0)
+        navigation.stamp_ns, navigation.stood = self._stamp_ns, False
+        self._place_again(navigation)
+
+    def _listen(self, navigation: Navigation, frame: SyncFrame) -> None:
+        """Notice that nothing tells of the motion: park a vehicle that stands, or lose it."""
+        silent_s = (frame.stamp_ns - (self._heard_ns or frame.stamp_ns)) / S
+        if frame.HasField("imu") or frame.odometry:
+            self._heard_ns = frame.stamp_ns
+        if silent_s <= SILENT_S or not (self._aligned or self._search):
+            return
+        if self._aligned and self._parked is None and self._standstill.standing:
+            self._parked = Parked(navigation)
+        if silent_s > BLIND_S:
+            self._complaints.append(
+                "no sensor has told of the motion for more than 5 s; the heading is sought anew"
+            )
+            self._aligned, self._search = False, None
+            self._way_m += UNSEEN_MPS * silent_s
+            navigation.unface()
+            self._lose(navigation)
+
+    def _wake(
+        self, parked: Parked, navigation: Navigation, frame: SyncFrame, standing: bool
+    ) -> None:
+        """Find out whether a parked vehicle stands there yet."""
+        if self._heard_ns != frame.stamp_ns:
+            return
+        moved = parked.moved(frame.odometry, frame.gnss, navigation, standing)
+        if moved is None and (standing or not self._aligned):
+            return
+        if moved is False:
+            parked.take_up(navigation, frame.stamp_ns)
+            self._aligned, self._search = True, None
+        self._parked = None
+
+    # Another beginning ---------------------------------------------------------------------------
+    def _begin_again(self, sentence: str) -> None:
+        """Forget everything."""
+        self._complaints.append(f"{sentence}; the filter begins anew")
+        self.restore(type(self)(self._vehicle).snapshot())
+
+    def _set_back(self, stamp_ns: int) -> bool:
+        """Whether time that ran backwards has gone on from there: then all begins anew."""
+        first_ns, last_ns = self._back_ns
+        if not 0 < stamp_ns - last_ns < BACK_S * S:
+            first_ns = stamp_ns
+        self._back_ns = (first_ns, stamp_ns)
+        if stamp_ns - first_ns < BACK_S * S:
+            self._complaints.append("time ran backwards; the frame was left out")
+            return False
+        self._begin_again("time goes on from an earlier instant")
+        return True
+
+    def _began_elsewhere(self) -> bool:
+        """Whether the first fix was wrong, by all that came later."""
+        first_ns, last_ns = self._far_ns
+        before_s = (first_ns - self._begun_ns) / S
+        return last_ns - first_ns > max(FAR_S, min(before_s, FAR_LATEST_S)) * S
+
+    # What comes out ------------------------------------------------------------------------------
+    def _estimate(
+        self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
+    ) -> Estimate:
+        mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
+        ekf = navigation.ekf
+        estimate = estimates.estimate_of(
+            ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts
+        )
+        if self._aligned:
+            return estimate
+        fix = self._last_fix
+        if fix is None or (standing and self._search is None):
+            return estimates.without_heading(estimate, self._lever_arm_m)
+        if self._search is not None and self._search.trying:
+            return estimates.without_heading(estimate, self._lever_arm_m, of_antenna=False)
+        speed_mps = self._standstill.speed_over_ground_mps
+        std_m, std_up_m = (math.hypot(a, self._way_m) for a in navigation.accuracies_m(fix))
+        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        antenna = antenna_l(fix, navigation.level)
+        return estimates.at_fix(
+            estimate, antenna, (std_m, std_up_m), speed_mps, min(age_s, 2.0), self._lever_arm_m
+        )
+
+    def constrain(self, on_track: OnTrack) -> None:
+        if self._navigation is not None and self._aligned:
+            self._navigation.given += self._navigation.ekf.track(on_track)
+
+    def see(self, mean: ImuMean) -> None:
+        self._ahead.append(mean)
+
+    def ahead(self) -> Estimate | None:
+        stamp_ns = max(self._ahead.newest_ns, self._stamp_ns)
+        navigation, last = self._navigation, self._last
+        if navigation is None or last is None:
+            return None
+        if not self._aligned:
+            return replace(last, stamp_ns=stamp_ns, verdicts=[])
+        values = self._ahead.predict(navigation.ekf, self._stamp_ns)
+        return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])
+
+    def learned(self) -> list[Learned]:
+        return [] if self._navigation is None else estimates.learned(self._navigation.ekf.memory)
+
+    def complaints(self) -> list[str]:
+        found, self._complaints = self._complaints, []
+        return found
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> State:
+        navigation, level, search, parked = self._navigation, self.level, self._search, self._parked
+        return {
+            "level": None
+            if level is None
+            else [level.latitude_rad, level.longitude_rad, level.height_m],
+            "navigation": None if navigation is None else navigation.snapshot(),
+            "standstill": self._standstill.snapshot(),
+            "aligned": self._aligned,
+            "search": None if search is None else search.snapshot(),
+            "silence": self._silence.snapshot(),
+            "parked": None if parked is None else parked.snapshot(),
+            "last_fix": None if self._last_fix is None else self._last_fix.SerializeToString(),
+            "back_ns": list(self._back_ns),
+            "far_ns": list(self._far_ns),
+            "ahead": self._ahead.snapshot(),
+            "last": None if self._last is None else estimates.plain(self._last),
+            **{name: getattr(self, name) for name in _PLAIN},
+        }
+
+    def restore(self, state: State) -> None:
+        self._navigation = self._search = self._parked = None
+        if state["level"] is not None:
+            level = LocalLevel(*state["level"])
+            self._navigation = navigation = self.navigation_type(self._vehicle, level)
+            if state["search"] is not None:
+                self._search = Search(navigation, None)
+                self._search.restore(state["search"])
+            if state["parked"] is not None:
+                self._parked = Parked(navigation)
+                self._parked.restore(state["parked"])
+            navigation.restore(state["navigation"])
+        self._standstill.restore(state["standstill"])
+        self._silence.restore(state["silence"])
+        self._aligned = state["aligned"]
+        last = state["last_fix"]
+        self._last_fix = None if last is None else GnssFix.FromString(last)
+        self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])
+        self._ahead.restore(state["ahead"])
+        self._last = None if state["last"] is None else estimates.from_plain(state["last"])
+        for name in _PLAIN:
+            setattr(self, name, state[name])
+
+
+_PLAIN = (
+    "_heard_ns",
+    "_wheels_ns",
+    "_way_m",
+    "_begun_ns",
+    "_stamp_ns",
+    "_inertial",
+)
+"""Attributes of the localiser that are numbers."""

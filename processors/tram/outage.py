@@ -1,0 +1,146 @@
+"""Sensors that fall silent: what is said of it, and where a vehicle stood before it.
+
+A vehicle that stood when everything fell silent most likely stands there yet, with the heading that
+it had. So its navigation is kept (`Parked`), and taken up again when wheels that have not turned
+say so, or, where wheels cannot tell, when the fixes are where they were.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.states import Ix
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
+from tramstream.proto.sync_pb2 import SyncFrame
+
+REPEAT_S = 10.0
+"""The same is said again only after so long."""
+SILENT_S = {
+    "no inertial reading for more than 1 s": 1.0,
+    "no wheel reading for more than 5 s, though wheels are configured": 5.0,
+    "no usable fix for more than 60 s": 60.0,
+}
+_IMU, _WHEELS, _FIXES = SILENT_S
+SLIPPING_S = 5.0
+SLIPPING = "a wheel has not fitted the motion for more than 5 s"
+ROLLED_PULSES = 3
+"""A wheel may rock by so much while its vehicle stands."""
+SAME_PLACE_M = 10.0
+SAME_PLACE_SIGMA = 4.0
+"""A fix no further away than this is of the same place: the track leads one way there."""
+
+
+class Silence:
+    """Notices what does not come; one sentence each, again and again while it lasts."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        expected = {_IMU: vehicle.imu, _WHEELS: vehicle.odometer, _FIXES: vehicle.gnss}
+        self._expected = [sentence for sentence, section in expected.items() if section is not None]
+        self._last_ns: dict[str, int] = {}
+        self._said_ns: dict[str, int] = {}
+        self._second = 0
+
+    def see(self, frame: SyncFrame) -> bool:
+        """Take note of what a frame brings; whether it is time to look for what does not come."""
+        stamp_ns, last_ns = frame.stamp_ns, self._last_ns
+        if frame.HasField("imu"):
+            last_ns[_IMU] = stamp_ns
+        if frame.odometry:
+            last_ns[_WHEELS] = stamp_ns
+        for fix in frame.gnss:
+            if fix.valid:
+                last_ns[_FIXES] = stamp_ns
+        second, self._second = self._second, stamp_ns // S
+        return second != self._second
+
+    def sentences(self, stamp_ns: int, slipping_s: float) -> list[str]:
+        """Give what there is to say."""
+        found = [
+            sentence
+            for sentence in self._expected
+            if stamp_ns - self._last_ns.setdefault(sentence, stamp_ns) > SILENT_S[sentence] * S
+        ]
+        if slipping_s > SLIPPING_S:
+            found.append(SLIPPING)
+        due = [each for each in found if self._due(each, stamp_ns)]
+        self._said_ns.update(dict.fromkeys(due, stamp_ns))
+        return due
+
+    def _due(self, sentence: str, stamp_ns: int) -> bool:
+        said_ns = self._said_ns.get(sentence)
+        return said_ns is None or stamp_ns - said_ns >= REPEAT_S * S
+
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "last_ns": dict(self._last_ns),
+            "said_ns": dict(self._said_ns),
+            "second": self._second,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._last_ns, self._said_ns = dict(state["last_ns"]), dict(state["said_ns"])
+        self._second = state["second"]
+
+
+class Parked:
+    """The navigation of a vehicle that stood when everything fell silent."""
+
+    def __init__(self, navigation: Navigation) -> None:
+        self._navigation = navigation.snapshot()
+        self._stamp_ns = navigation.stamp_ns
+        self._counters = navigation.wheels.counters()
+
+    def moved(
+        self,
+        readings: Iterable[Odometry],
+        fixes: Iterable[GnssFix],
+        navigation: Navigation,
+        standing: bool,
+    ) -> bool | None:
+        """Whether the vehicle has moved since, by new readings; None while nobody can tell."""
+        counters = {
+            each.wheel: each.pulses
+            for reading in readings
+            for each in reading.wheels
+            if each.HasField("pulses")
+        }
+        turned = [counters[each] - old for each, old in self._counters.items() if each in counters]
+        if turned and all(abs(each) <= ROLLED_PULSES for each in turned):
+            return False
+        if turned and min(turned) > 0:  # or else they have begun to count anew
+            return True
+        usable = [fix for fix in fixes if fix.valid and not unusable(fix, navigation.level)]
+        if not usable or not standing:
+            return None
+        x = self._navigation["memory"]
+        east, north, _ = antenna_l(usable[-1], navigation.level)
+        away_m = math.hypot(east - float(x[Ix.EAST]), north - float(x[Ix.NORTH]))
+        reach_m = SAME_PLACE_SIGMA * navigation.accuracy_m(usable[-1]) + SAME_PLACE_M
+        return away_m > reach_m
+
+    def take_up(self, navigation: Navigation, stamp_ns: int) -> None:
+        """Let the vehicle have stood all the time until `stamp_ns`."""
+        navigation.unface()  # whatever it went through meanwhile has ended
+        navigation.restore(self._navigation)
+        navigation.begin()
+        navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
+        navigation.fixes.renew(navigation.ekf)
+        navigation.stamp_ns = stamp_ns
+
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "navigation": self._navigation,
+            "stamp_ns": self._stamp_ns,
+            "counters": dict(self._counters),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._navigation, self._stamp_ns = state["navigation"], state["stamp_ns"]
+        self._counters = dict(state["counters"])

@@ -1,0 +1,228 @@
+"""Does the vehicle stand? Wheels say so; the inertial sensor must agree, or says it alone.
+
+Idling is not motion: an engine, a fan or a compressor shakes the case with degrees a second, yet
+the vehicle stands. So nothing here asks for quiet in itself. Where wheels are read, it stands when
+they have not turned for a while, unless the filter or GNSS knows of a speed that a sliding wheel
+or a stuck counter would hide. Without wheels, the shaking is compared with what it was while the
+vehicle surely stood and surely ran, by GNSS speed; until both are known, or when they do not
+differ, only a speed estimate near zero with a steady heading counts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tramstream.clock import S
+from tramstream.estimation.kalman import Array, compiled
+
+WHEELS_STILL_S = 0.6
+"""Wheels that have not turned for so long stand; 30 readings at 50 Hz."""
+LOCKED_MPS = 0.5
+LOCKED_SIGMA = 4.0
+"""Beyond an estimated speed of this and so many deviations, wheels that do not turn slide, or their
+counter is stuck."""
+FAST_S = 3.0
+"""Fixes that have moved fast for so long have not jumped."""
+PAUSE_S = 0.5
+"""Of the inertial readings: after a longer one they begin anew."""
+STILL_S = 0.8
+"""The inertial sensor alone must agree for so long."""
+CREEP_MPS = 0.3
+"""Estimated speed that may be standing, without wheels."""
+STEADY_RADPS = 0.01
+"""Mean yaw rate of a vehicle that stands."""
+SMOOTHING_S = 0.5
+LEARNING_S = 20.0
+SEPARATION = 2.0
+"""The shaking must differ by this factor between running and standing to be of use."""
+RUNNING_MPS = 2.0
+_SEPARATION = math.log(SEPARATION)
+PUSH_MPS2 = 0.12
+"""Change of the mean specific force along the track that sets a vehicle going: without wheels the
+first thing to be seen."""
+SETTLING_S = 5.0
+RUN_S = 3.0
+"""Without wheels, a vehicle that has left does not stand again before this: at walking pace its
+shaking is still that of standing."""
+GNSS_AGE_S = 2.5
+
+
+_FORCE, _STILL, _RUNNING = range(3)
+"""Of what is learned: specific force along the track while standing; log of the shaking while
+standing, while running (0: not known)."""
+
+
+@compiled
+def follow(
+    statistics: Array,
+    learned: Array,
+    u: Array,
+    dt_s: float,
+    standing: bool,
+    known: bool,
+    ground_mps: float,
+    speed_mps: float,
+    bias_z: float,
+) -> bool:
+    """Take a reading: whether it could be that of a vehicle that stands.
+
+    Parameters
+    ----------
+    statistics : ndarray, shape (2, 6)
+        Mean and variance of the readings.
+    learned : ndarray, shape (3,)
+    standing : bool
+        What the vehicle did until now.
+    known : bool
+        Whether the speed over ground is.
+    """
+    weight = min(1.0, dt_s / SMOOTHING_S)
+    for k in range(6):
+        before = u[k] - statistics[0, k]
+        statistics[0, k] += weight * before
+        statistics[1, k] += weight * (before * (u[k] - statistics[0, k]) - statistics[1, k])
+    level = 0.5 * math.log(statistics[1, 3] + statistics[1, 4] + statistics[1, 5] + 1e-12)
+    force = statistics[0, 3]
+    slow = ground_mps if known else abs(speed_mps)
+    if known and ground_mps > RUNNING_MPS:
+        learned[_RUNNING] = _blend(learned[_RUNNING], level, dt_s / LEARNING_S)
+    if standing and slow < CREEP_MPS:
+        learned[_STILL] = _blend(learned[_STILL], level, dt_s / LEARNING_S)
+    pushed = standing and abs(force - learned[_FORCE]) > PUSH_MPS2
+    learned[_FORCE] += dt_s / SETTLING_S * (force - learned[_FORCE])
+    if pushed or slow > (2.0 * CREEP_MPS if known else RUNNING_MPS):
+        return False
+    if abs(statistics[0, 2] - bias_z) > STEADY_RADPS:
+        return False
+    still, running = learned[_STILL], learned[_RUNNING]
+    if still != 0.0 and running != 0.0 and running - still > _SEPARATION:
+        return bool(level < 0.5 * (still + running))
+    return bool(slow < CREEP_MPS)
+
+
+@compiled
+def _blend(before: float, value: float, weight: float) -> float:
+    return value + (before - value) * (1.0 - weight) if before != 0.0 else value
+
+
+class Standstill:
+    """Decides frame by frame; `noise` gives what the readings scatter by while standing."""
+
+    def __init__(self) -> None:
+        self.standing = False
+        self.since_ns = 0
+        """Start of the present state."""
+        self._statistics = np.zeros((2, 6))
+        self.noise = self._statistics[1]
+        """Variance of rates and specific forces in the last moments, shape (6,)."""
+        self._learned = np.zeros(3)
+        self._started = False
+        self._last_ns = 0  # inertial reading
+        self._wheel_ns = 0  # last reading of the wheels
+        self._turned_ns = 0  # last reading with a turn
+        self._quiet_ns = 0  # since when the inertial sensor agrees
+        self._gnss_mps = math.inf
+        self._gnss_ns = 0
+        self._fast_ns = 0  # since when that has been fast
+
+    @property
+    def speed_over_ground_mps(self) -> float:
+        """Last speed that GNSS measured; 0 if it never has."""
+        return self._gnss_mps if math.isfinite(self._gnss_mps) else 0.0
+
+    def wheels(self, stamp_ns: int, turned: bool) -> None:
+        """Take a reading of the wheels."""
+        if turned or stamp_ns - self._wheel_ns > WHEELS_STILL_S * S:
+            self._turned_ns = stamp_ns
+        self._wheel_ns = stamp_ns
+
+    def speed_over_ground(self, stamp_ns: int, speed_mps: float) -> None:
+        """Take a speed that GNSS measured."""
+        if speed_mps < RUNNING_MPS or stamp_ns - self._gnss_ns > GNSS_AGE_S * S:
+            self._fast_ns = stamp_ns
+        self._gnss_mps, self._gnss_ns = speed_mps, stamp_ns
+
+    def step(
+        self,
+        stamp_ns: int,
+        u: Array | None,
+        dt_s: float,
+        speed_mps: float,
+        speed_variance: float,
+        bias_z: float,
+    ) -> bool:
+        """Decide for the instant `stamp_ns`.
+
+        Parameters
+        ----------
+        u : ndarray, shape (≥ 6,), or None
+            Rates and specific forces; None without an inertial sensor.
+        speed_mps : float
+            As the filter knows it; NaN if it does not.
+        bias_z : float
+            Of the vertical gyroscope.
+        """
+        if stamp_ns - self._last_ns > PAUSE_S * S:  # nobody has seen that it stood all the time
+            self._quiet_ns, self._started = stamp_ns, False
+        if u is not None:
+            self._last_ns = stamp_ns
+            self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
+        if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
+            standing = self._by_wheels(stamp_ns, speed_mps, speed_variance)
+        else:
+            standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
+            if standing and not self.standing and self.since_ns:
+                standing = stamp_ns - self.since_ns > RUN_S * S
+        if standing != self.standing:
+            self.standing, self.since_ns = standing, stamp_ns
+            self._learned[_FORCE] = self._statistics[0, 3]
+        return standing
+
+    def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_variance: float) -> bool:
+        if stamp_ns - self._turned_ns < WHEELS_STILL_S * S:
+            return False
+        fast = self._gnss_ns - self._fast_ns > FAST_S * S
+        if fast and stamp_ns - self._gnss_ns < GNSS_AGE_S * S:
+            return False
+        std_mps = math.sqrt(max(speed_variance, 0.0))
+        # NaN: not known, so it stands.
+        return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * std_mps
+
+    def _follow(
+        self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
+    ) -> None:
+        if not self._started:
+            self._statistics[0] = u[:6]
+            self._started, self._quiet_ns = True, stamp_ns
+            self._learned[_FORCE] = u[3]
+        known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
+        if not follow(
+            self._statistics,
+            self._learned,
+            u,
+            dt_s,
+            self.standing,
+            known,
+            self._gnss_mps,
+            speed_mps,
+            bias_z,
+        ):
+            self._quiet_ns = stamp_ns
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        plain = {name: v for name, v in vars(self).items() if not isinstance(v, np.ndarray)}
+        return plain | {name: getattr(self, name).copy() for name in _ARRAYS}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            if name in _ARRAYS:
+                getattr(self, name)[:] = value
+            else:
+                setattr(self, name, value)
+
+
+_ARRAYS = ("_statistics", "_learned")

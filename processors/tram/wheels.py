@@ -1,0 +1,335 @@
+"""Wheel readings for the model `tram`: which wheel, how far since its last reading, and slip.
+
+A wheel's path is held against the filter's own, reading by reading, and never loses a pulse. When a
+reading does not fit, the wheel slips or slides: it tells nothing until it has gone the filter's way
+for a while. A wheel that begins to slip at walking pace fits reading by reading, and the filter
+takes it for a slope; but its innovations lean to one side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.localiser import Verdict
+from tramstream.processors.tram.filter import QUANTISATION, SPEED, TramFilter
+from tramstream.processors.tram.states import Ix, Pm
+from tramstream.proto.raw_pb2 import Odometry, WheelReading
+from tramstream.proto.sync_pb2 import SyncFrame
+
+AGREE_S = 0.8
+"""A wheel that has slipped is believed again when it has gone the filter's way for so long..."""
+AGREE_SIGMA = 4.0
+GIVE_IN_S = 20.0
+"""... or when it has disagreed for so long: then the filter's speed is wrong, not the wheel."""
+WRONG_RAD = 0.01
+"""... and its pitch, which took gravity for a push."""
+SLACK = 0.75
+LEAN = 10.0
+"""Innovations whose sum, less so much each, comes to so many of their deviations lean to one side
+(Page's test): where they are white, once a day; a lean by 1.5 deviations is seen in a quarter of a
+second."""
+COMPANION = 0.3
+"""A wheel that leans so much of it with another that has lost its grip has lost it too."""
+HELD_S = 2.0
+"""So long such a wheel is not believed: the filter, led by it, finds it right."""
+LED_MPS = 0.005
+LED_RAD = 0.001
+"""What a slip has done to speed and pitch when it is seen by how the innovations lean."""
+MAX_PAUSE_S = 0.5
+"""After a longer pause a path says nothing about the wheel's grip,"""
+LONGEST_PAUSE_S = 20.0
+BLIND_STD_M = 0.3
+"""but up to this one it says more than a filter that knows its way no better."""
+MAX_MPS = 40.0
+"""A counter that runs faster has started anew; a wheel that says so errs."""
+COUNTS_DOWN = 2
+"""Readings in a row by which a counter is seen to count down; one may have started anew."""
+BACKWARDS_MPS = 0.3
+TURNING_MPS = 0.03
+"""A wheel that gives its speed turns above this."""
+
+
+@dataclass
+class Wheel:
+    """What is remembered of one wheel."""
+
+    slot: int
+    pulses: int | None = None
+    stamp_ns: int = 0
+    slipping: bool = False
+    slip_ns: int = 0  # since when
+    agreed_ns: int = 0  # since when it agrees again; later than now while it is not believed
+    agreed_m: float = 0.0  # way since then
+    refused: bool = False  # its last reading
+    ahead: float = 0.0  # by how much its innovations lean forwards,
+    behind: float = 0.0  # and backwards, in their deviations
+    signed: bool = False  # has counted down
+    down: int = 0  # readings in a row in which it has
+
+    @property
+    def lean(self) -> float:
+        """By how much its innovations lean, forwards positive."""
+        return self.ahead if self.ahead > self.behind else -self.behind
+
+
+_SIGN = int(Pm.SIGN_A)
+
+
+class WheelPair:
+    """The one or two wheels that the filter has states for."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        config = vehicle.wheels
+        self._m_per_pulse = config.m_per_pulse
+        self._pulse_variance = config.m_per_pulse**2 * QUANTISATION
+        self._stamp_variance = config.stamp_std_s**2
+        self._speed_std = config.speed_std_mps
+        odometer = vehicle.odometer
+        self._sides = (
+            {name: w.side for name, w in odometer.wheels.items() if w.side} if odometer else {}
+        )
+        self._wheels: dict[str, Wheel] = {}
+        self.slips = 0
+
+    def side(self, name: str) -> str:
+        known = self._sides.get(name)
+        if known:
+            return known
+        lower = name.lower()
+        return "left" if "left" in lower else "right" if "right" in lower else "middle"
+
+    def meet(self, reading: Odometry, ekf: TramFilter) -> None:
+        """Give slots to the wheels of the first reading: left and right, else whatever comes."""
+        sides = {wheel.wheel: self.side(wheel.wheel) for wheel in reading.wheels}
+        chosen: list[str] = []
+        for side in ("left", "right", "middle"):
+            named = [name for name, its in sides.items() if its == side]
+            chosen += named[:1] if side != "middle" or not chosen else []
+        c = ekf.parameters
+        half = abs(c[Pm.OFFSET_A])
+        lateral = {"left": half, "right": -half, "middle": 0.0}
+        for slot, name in enumerate(chosen[:2]):
+            self._wheels[name] = Wheel(slot)
+            c[Pm.OFFSET_A + slot] = lateral[sides[name]]
+
+    @property
+    def known(self) -> bool:
+        return bool(self._wheels)
+
+    def turned(self, reading: Odometry) -> tuple[bool, float] | None:
+        """Whether any wheel has turned since its last reading, and how far on average, m."""
+        ways = []
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if each.HasField("pulses"):
+                if wheel is not None and wheel.pulses is not None:
+                    way = (each.pulses - wheel.pulses) * self._m_per_pulse
+                    pause_s = (reading.stamp_ns - wheel.stamp_ns) / S
+                    ways.append(way if abs(way) < MAX_MPS * max(pause_s, 0.05) else 0.0)
+            elif _has_speed(each):
+                ways.append(each.speed_mps if abs(each.speed_mps) > TURNING_MPS else 0.0)
+        if not ways:
+            return None
+        return any(ways), sum(ways) / len(ways)
+
+    def take(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
+        """Take all wheels of a reading; the filter is at its stamp."""
+        verdicts = []
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if wheel is None:
+                continue
+            if each.HasField("pulses"):
+                verdict = self._path(wheel, each.pulses, reading.stamp_ns, ekf)
+            elif _has_speed(each):
+                verdict = self._rim(wheel, each, reading.stamp_ns, ekf)
+            else:
+                verdict = None
+            if verdict is not None:
+                verdicts.append(verdict)
+        self._watch(reading.stamp_ns, ekf)
+        return verdicts
+
+    def counted(self, frames: list[SyncFrame]) -> float:
+        """What all wheels together have counted in `frames`: metres, or seconds times speed."""
+        last: dict[str, Wheel] = {}
+        total = 0.0
+        for frame in frames:
+            for reading in frame.odometry:
+                for each in reading.wheels:
+                    if each.HasField("pulses"):
+                        wheel = last.setdefault(each.wheel, Wheel(0))
+                        total += self._count(wheel, each.pulses, reading.stamp_ns) or 0.0
+                    elif _has_speed(each):
+                        total += each.speed_mps
+        return total
+
+    def direction(self, counted: float) -> float:
+        """1 forwards, −1 backwards, 0 if the wheels do not tell: they may count up both ways."""
+        if counted < 0.0:
+            return -1.0
+        return 1.0 if any(wheel.signed for wheel in self._wheels.values()) else 0.0
+
+    def run(self, direction: float, counted: float, ekf: TramFilter) -> None:
+        """Let the wheels count as they did for a vehicle that ran in `direction`."""
+        sign = direction if counted > 0.0 else 1.0
+        ekf.parameters[Pm.SIGN_A] = ekf.parameters[Pm.SIGN_B] = sign
+
+    def note(self, reading: Odometry) -> None:
+        """Remember where the wheels' counters are, without a filter to tell."""
+        for each in reading.wheels:
+            wheel = self._wheels.get(each.wheel)
+            if wheel is not None and each.HasField("pulses"):
+                self._count(wheel, each.pulses, reading.stamp_ns)
+
+    def slipping_s(self, stamp_ns: int) -> float:
+        """For how long a wheel has not fitted the motion."""
+        return max(
+            ((stamp_ns - w.slip_ns) / S for w in self._wheels.values() if w.slipping), default=0.0
+        )
+
+    def counters(self) -> dict[str, int]:
+        """Pulses of each wheel, as they were last read."""
+        return {n: each.pulses for n, each in self._wheels.items() if each.pulses is not None}
+
+    def _count(self, wheel: Wheel, pulses: int, stamp_ns: int) -> float | None:
+        """Way since the last reading, m; None if there is none, or the counter started anew."""
+        before, before_ns = wheel.pulses, wheel.stamp_ns
+        wheel.pulses, wheel.stamp_ns = pulses, stamp_ns
+        pause_s = (stamp_ns - before_ns) / S
+        if before is None or pause_s <= 0.0:
+            return None
+        way = (pulses - before) * self._m_per_pulse
+        if abs(way) > MAX_MPS * max(pause_s, 0.05):
+            return None
+        if way != 0.0:
+            wheel.down = wheel.down + 1 if way < 0.0 else 0
+            wheel.signed |= wheel.down >= COUNTS_DOWN
+        return way
+
+    def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
+        pause_s = (stamp_ns - wheel.stamp_ns) / S
+        way = self._count(wheel, pulses, stamp_ns)
+        speed: float = ekf.numbers[SPEED]
+        variance = self._pulse_variance + speed**2 * self._stamp_variance
+        if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
+            self._begin(wheel, stamp_ns, variance, ekf)
+            return None
+        self._turn_sign(wheel, way, speed, ekf)
+        if wheel.slipping:
+            return self._slip(wheel, way, variance, stamp_ns, pause_s, ekf)
+        verdict = ekf.path(wheel.slot, way, variance)
+        normal = verdict.innovation / math.sqrt(verdict.variance)
+        wheel.refused = not verdict.accepted
+        wheel.ahead = max(0.0, wheel.ahead + normal - SLACK)
+        wheel.behind = max(0.0, wheel.behind - normal - SLACK)
+        return verdict
+
+    def _begin(self, wheel: Wheel, stamp_ns: int, variance: float, ekf: TramFilter) -> None:
+        """Count a wheel's path from here on."""
+        wheel.agreed_ns, wheel.agreed_m = stamp_ns, 0.0
+        wheel.ahead, wheel.behind, wheel.refused = 0.0, 0.0, False
+        ekf.tie(wheel.slot, variance)
+
+    def _watch(self, stamp_ns: int, ekf: TramFilter) -> None:
+        """Find wheels that have lost their grip, and with them those that lean the same way.
+
+        The filter may have been led astray before that is seen, by as much as they lean.
+        """
+        wheels = [wheel for wheel in self._wheels.values() if not wheel.slipping]
+        lost = [wheel for wheel in wheels if wheel.refused or abs(wheel.lean) > LEAN]
+        if not lost:
+            return
+        most = max((wheel.lean for wheel in lost), key=abs)
+        led = min(abs(most) / LEAN, 1.0)
+        for wheel in wheels:
+            if wheel in lost or wheel.lean * most > COMPANION * most * most:
+                wheel.slipping, wheel.slip_ns = True, stamp_ns
+                held_ns = int(led * HELD_S * S)
+                self._begin(wheel, stamp_ns + held_ns, self._m_per_pulse**2, ekf)
+                self.slips += 1
+        ekf.widen(Ix.SPEED, LED_MPS * led)
+        ekf.widen(Ix.PITCH, LED_RAD * led)
+
+    def _counts(self, wheel: Wheel, pause_s: float, ekf: TramFilter) -> bool:
+        """Whether what was counted in a pause says more than what the filter knows of it."""
+        slot = Ix.PATH_A + wheel.slot
+        return pause_s < LONGEST_PAUSE_S and float(ekf.P[slot, slot]) > BLIND_STD_M**2
+
+    def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
+        """A counter that only counts up does so backwards too."""
+        slot = _SIGN + wheel.slot
+        before = float(ekf.parameters[slot])
+        if wheel.signed:
+            sign = 1.0
+        elif way * before * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
+            sign = -before
+        else:
+            return
+        if sign != before:
+            ekf.parameters[slot] = sign
+            ekf.tie(wheel.slot, self._m_per_pulse**2)
+
+    def _slip(
+        self,
+        wheel: Wheel,
+        way: float,
+        variance: float,
+        stamp_ns: int,
+        pause_s: float,
+        ekf: TramFilter,
+    ) -> Verdict:
+        """Watch a slipping wheel, without a word to the filter."""
+        slot = Ix.PATH_A + wheel.slot
+        wheel.agreed_m += way
+        y = wheel.agreed_m - ekf.counted(wheel.slot)
+        S_y = float(ekf.P[slot, slot]) + variance
+        if stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+            ekf.widen(Ix.SPEED, abs(abs(way) / pause_s - abs(float(ekf.memory[Ix.SPEED]))))
+            ekf.widen(Ix.PITCH, WRONG_RAD)
+            wheel.slipping = False
+        elif y * y > AGREE_SIGMA**2 * S_y:
+            self._begin(wheel, max(stamp_ns, wheel.agreed_ns), variance, ekf)
+        elif stamp_ns - wheel.agreed_ns > AGREE_S * S:
+            wheel.slipping = False
+        if not wheel.slipping:
+            self._begin(wheel, stamp_ns, variance, ekf)
+        name = "wheel_a" if wheel.slot == 0 else "wheel_b"
+        return Verdict(name, y, S_y, False)
+
+    def _rim(
+        self, wheel: Wheel, each: WheelReading, stamp_ns: int, ekf: TramFilter
+    ) -> Verdict | None:
+        wheel.signed |= each.speed_mps < -TURNING_MPS
+        speed = float(ekf.memory[Ix.SPEED])
+        self._turn_sign(wheel, each.speed_mps, speed, ekf)
+        verdict = ekf.rim(wheel.slot, each.speed_mps, self._speed_std)
+        if verdict.accepted:
+            wheel.slipping = False
+        elif not wheel.slipping:
+            wheel.slipping, wheel.slip_ns = True, stamp_ns
+            self.slips += 1
+        elif stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+            ekf.widen(Ix.SPEED, abs(verdict.innovation))
+            wheel.slip_ns = stamp_ns
+        return verdict
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        return {
+            "slips": self.slips,
+            "wheels": {name: asdict(wheel) for name, wheel in self._wheels.items()},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.slips = state["slips"]
+        self._wheels = {name: Wheel(**fields) for name, fields in state["wheels"].items()}
+
+
+def _has_speed(reading: WheelReading) -> bool:
+    """Whether a wheel gives a speed that can be one."""
+    return reading.HasField("speed_mps") and abs(reading.speed_mps) < MAX_MPS

@@ -1,0 +1,94 @@
+"""Compiles every kernel that a vehicle uses: `python -m tramstream.processors.warm_up`.
+
+A short simulated ride goes through the resampler and the localisation filter with a map, as
+messages would on the vehicle; what no such ride meets is called by hand.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from tramstream import machine_code
+from tramstream.config import Ekf, Map, Vehicle
+from tramstream.estimation.localiser import OnTrack
+from tramstream.lines.line import Line, built_in_line
+from tramstream.processor import Processor
+from tramstream.processors.distance.processor import DistanceFilter
+from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.tram.filter import TramFilter, parameters
+from tramstream.simulation import scenario
+from tramstream.simulation.simulation import Simulation
+from tramstream.tracks.network import FORWARDS, Network
+
+RIDE_S = 50.0
+"""Standing, departure, alignment, a curve."""
+MAPPED_M = 600.0
+"""More than the ride goes."""
+
+
+def compile_all() -> None:
+    """Call all kernels once."""
+    simulation = Simulation(built_in_line(), scenario.load("city"), 1, RIDE_S)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.tracks"
+        _one_track(simulation.line).save(path)
+        vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=str(path)))
+        processors: list[Processor] = [DistanceFilter(vehicle), LocalisationFilter(vehicle)]
+    resampler = Resampler(vehicle)
+    for sent in simulation.samples():
+        if sent.key not in resampler.inputs:
+            continue
+        for made in resampler.step(sent):
+            for processor in processors:
+                if made.key in processor.inputs:
+                    processor.step(made)
+    ekf = TramFilter(parameters(Vehicle(vehicle="none", ekf=Ekf()), 9.81))
+    ekf.rim(0, 0.0, 1.0)
+    ekf.velocity((0.0, 0.0), 1.0)
+    ekf.track(OnTrack(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, math.nan, math.nan))
+
+
+def _one_track(line: Line) -> Network:
+    """The begin of a line as a network, exact: building one from a map has kernels of its own."""
+    count = int(MAPPED_M) + 1
+    at = np.linspace(0.0, MAPPED_M, count)
+    plan = line.position_l(at)
+    integers, singles = np.zeros(1, np.int32), np.zeros(count, np.float32)
+    return Network(
+        latitude_rad=line.level.latitude_rad,
+        longitude_rad=line.level.longitude_rad,
+        height_m=line.level.height_m,
+        starts=np.array([0, count], np.int32),
+        length_m=np.array([MAPPED_M]),
+        rules=np.array([FORWARDS], np.int8),
+        from_node=integers,
+        to_node=integers + np.int32(1),
+        node_id=np.arange(2),
+        node_switch=np.zeros(2, np.int8),
+        following_starts=np.zeros(3, np.int32),
+        following=integers[:0],
+        east=plan[:, 0].copy(),
+        north=plan[:, 1].copy(),
+        yaw_rad=line.yaw_rad(at),
+        curvature_per_m=line.curvature_per_m(at),
+        across_std_m=singles,
+        yaw_std_rad=singles,
+        height=singles,
+        grade_rad=singles,
+        grade_std_rad=singles + np.float32(0.01),
+        partner=np.zeros(count, np.int8),
+    )
+
+
+if __name__ == "__main__":
+    os.umask(0o077)  # what is run is nobody else's
+    machine_code.clear()
+    compile_all()
+    machine_code.mark_complete()

@@ -1,0 +1,293 @@
+"""Framing: any cut gives the same, nothing intact is lost, every byte is accounted for."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyrtcm import calc_crc24q
+from pyubx2 import calc_checksum
+
+from tramstream.bridges.gnss.framer import (
+    NMEA,
+    NOISE,
+    RTCM3,
+    UBX,
+    Frame,
+    Framer,
+    Rejected,
+    crc24q,
+    nmea_frame,
+    rtcm3_frame,
+    ubx_frame,
+)
+
+MON_PATCH = 0x0A27
+NAV_PVT = 0x0107
+RXM_RAWX = 0x0215
+UNKNOWN = 0x7F01
+
+CAPTURES = (
+    "u-blox-m8t-time.log",
+    "ublox-8.log",
+    "ublox-neo-m8l.log",
+    "ublox-zed-f9p-nmea.log",
+    "ublox-zed-f9p_hpg1.11.log",
+    "ublox-zed-f9r.log",
+    "zed-f9r-drive.ubx",
+)
+
+GGA = nmea_frame("GNGGA,000941.00,4404.13387,N,12118.85628,W,1,12,1.01,1144.8,M,-21.4,M,,")
+PVT = ubx_frame(NAV_PVT, bytes(range(92)))
+RAWX = ubx_frame(RXM_RAWX, bytes(11) + b"\x03" + bytes(4) + bytes(range(96)))
+CORRECTION = rtcm3_frame(bytes([0x43, 0x50, *range(40)]))
+
+frames = st.one_of(
+    st.builds(ubx_frame, st.sampled_from([UNKNOWN, 0x0122, MON_PATCH]), st.binary(max_size=60)),
+    st.sampled_from([PVT, GGA, RAWX, CORRECTION]),
+    st.builds(rtcm3_frame, st.binary(max_size=50)),
+)
+dirt = st.one_of(
+    st.binary(max_size=20),
+    st.sampled_from(
+        [b"\xb5", b"\xb5\x62", b"$", b"$G\xff", b"$GNGGA,1", b"!A", b"\xd3\x00", b"\xd3\x00\x00"]
+    ),
+    st.builds(lambda frame, at: frame[: at % len(frame)], frames, st.integers(0, 200)),
+    st.builds(
+        lambda frame, at, bit: flip(frame, (at % len(frame)) * 8 + bit),
+        frames, st.integers(0, 200), st.integers(0, 7),
+    ),
+)  # fmt: skip
+streams = st.lists(st.one_of(frames, dirt), max_size=12).map(b"".join)
+
+
+def flip(data: bytes, bit: int) -> bytes:
+    spoilt = bytearray(data)
+    spoilt[bit // 8] ^= 1 << bit % 8
+    return bytes(spoilt)
+
+
+def run(pieces: list[bytes]) -> list[Frame | Rejected]:
+    framer = Framer()
+    out = [item for piece in pieces for item in framer.feed(piece)]
+    return out + framer.flush()
+
+
+def cut(data: bytes, places: list[int]) -> list[bytes]:
+    edges = [0, *sorted(places), len(data)]
+    return [data[a:b] for a, b in itertools.pairwise(edges)]
+
+
+def delivered(data: bytes) -> list[bytes]:
+    return [item.raw for item in run([data]) if isinstance(item, Frame)]
+
+
+@settings(max_examples=300)
+@given(streams, st.lists(st.integers(0, 400), max_size=8))
+def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: list[int]) -> None:
+    whole = run([stream])
+    assert run(cut(stream, [min(place, len(stream)) for place in places])) == whole
+    assert run([stream[i : i + 1] for i in range(len(stream))]) == whole
+
+
+@settings(max_examples=200)
+@given(streams)
+def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
+    at = 0
+    for item in run([stream]):
+        if isinstance(item, Frame):
+            assert (item.start, item.raw) == (at, stream[at : item.end + 1])
+            at = item.end + 1
+        else:
+            assert item.start == at
+            at += item.size
+    assert at == len(stream)
+
+
+@settings(max_examples=200)
+@given(st.lists(streams, max_size=5), st.integers(0, 5))
+def test_bytes_balance_at_any_time_and_memory_can_be_moved(
+    pieces: list[bytes], moved_at: int
+) -> None:
+    framer, moved = Framer(), Framer()
+    for count, piece in enumerate(pieces):
+        if count == moved_at:
+            moved.restore(framer.snapshot())
+        out = framer.feed(piece)
+        if count >= moved_at:
+            assert moved.feed(piece) == out
+        assert framer.bytes_in == (
+            framer.bytes_in_frames + framer.bytes_rejected + framer.bytes_pending
+        )
+    framer.flush()
+    assert framer.bytes_pending == 0
+    assert framer.bytes_in == framer.bytes_in_frames + framer.bytes_rejected
+
+
+def test_each_protocol_is_recognised_and_named() -> None:
+    found = [item for item in run([PVT + GGA + CORRECTION]) if isinstance(item, Frame)]
+    assert [(f.protocol, f.kind, f.name) for f in found] == [
+        (UBX, NAV_PVT, "NAV-PVT"),
+        (NMEA, 0, "GNGGA"),
+        (RTCM3, 1077, "1077"),
+    ]
+    assert [f.payload for f in found] == [PVT[6:-2], GGA[1:-5], CORRECTION[3:-3]]
+    assert [f.end for f in found] == [99, 99 + len(GGA), 99 + len(GGA) + len(CORRECTION)]
+
+
+def test_frame_survives_lone_sync_byte() -> None:
+    for lone in (b"\xb5", b"$", b"!", b"\xd3", b"\xb5\xb5", b"\xb5$", b"\xd3\xd3"):
+        assert delivered(lone + PVT) == [PVT]
+
+
+FALSE_STARTS = (b"\xb5\x62", b"$G", b"!A", b"\xd3\x00", b"\xd3\x03")
+WHOLE = (PVT, GGA, CORRECTION, RAWX)
+
+
+@pytest.mark.parametrize("behind", [1, 2])
+@pytest.mark.parametrize("frame", WHOLE, ids=("UBX", "NMEA", "RTCM3", "counted UBX"))
+@pytest.mark.parametrize("false", FALSE_STARTS, ids=("UBX", "NMEA $", "NMEA !", "RTCM3", "long"))
+def test_frame_that_begins_right_behind_a_false_start_is_delivered(
+    false: bytes, frame: bytes, behind: int
+) -> None:
+    """However long the frame is that the false start claims: it is there once that has come."""
+    assert delivered(false[:behind] + frame + bytes(2048)) == [frame]
+
+
+@given(
+    st.lists(st.sampled_from([*FALSE_STARTS, b"\xb5", b"$", b"!", b"\xd3"]), max_size=9),
+    st.sampled_from(WHOLE),
+)
+def test_frame_behind_any_nesting_of_false_starts_is_delivered(
+    false: list[bytes], frame: bytes
+) -> None:
+    assert delivered(b"".join(false) + frame) == [frame]
+
+
+def test_intact_frame_behind_a_corrupt_header_is_delivered() -> None:
+    for bit in range(16, 48):  # class, identifier and length of the first frame
+        assert delivered(flip(RAWX, bit) + PVT + GGA)[-2:] == [PVT, GGA]
+
+
+def test_flipped_length_bit_does_not_make_the_framer_wait() -> None:
+    framer = Framer()
+    for frame in (PVT, RAWX):
+        for bit in range(32, 48):
+            out = framer.feed(flip(frame, bit) + PVT)
+            assert [item.raw for item in out if isinstance(item, Frame)] == [PVT]
+
+
+def test_frame_hidden_in_a_frame_that_never_ends_is_delivered_at_the_end() -> None:
+    header = b"\xb5\x62\x7f\x01" + (4000).to_bytes(2, "little")
+    framer = Framer()
+    assert framer.feed(header + PVT) == []
+    out = framer.flush()
+    assert out == [Rejected("UBX truncated", 0, 6), Frame(UBX, NAV_PVT, PVT, 105)]
+
+
+def test_valid_outer_frame_wins_over_what_lies_inside() -> None:
+    for outer in (ubx_frame(UNKNOWN, PVT + GGA), rtcm3_frame(b"\x43\x50" + PVT)):
+        assert delivered(outer + GGA) == [outer, GGA]
+
+
+def test_length_that_the_type_cannot_have_is_refused_however_good_the_checksum() -> None:
+    short = ubx_frame(NAV_PVT, bytes(84))
+    long = ubx_frame(NAV_PVT, bytes(96))
+    miscounted = ubx_frame(RXM_RAWX, bytes(11) + b"\x02" + bytes(4) + bytes(96))
+    framer = Framer()
+    framer.feed(short + long + miscounted)
+    framer.flush()
+    assert framer.frames == 0
+    assert framer.false_starts == {"UBX length": 2, "UBX count": 1}
+
+
+def test_patch_of_65535_bytes_does_not_stop_the_stream() -> None:
+    patch = ubx_frame(MON_PATCH, bytes(65535))
+    framer = Framer()
+    out = framer.feed(patch[:100])
+    assert out == []  # settled at once: nothing but noise so far
+    out = framer.feed(patch[100:] + PVT)
+    assert out == [
+        Rejected("UBX length", 0, len(patch)),
+        Frame(UBX, NAV_PVT, PVT, len(patch) + 99),
+    ]
+
+
+def test_empty_rtcm3_frame_and_lone_preamble_do_no_harm() -> None:
+    filler = rtcm3_frame(b"")
+    assert delivered(filler + PVT) == [filler, PVT]
+    assert delivered(b"\xd3\x00\x00" + PVT) == [PVT]
+
+
+def test_sentence_with_a_foreign_byte_is_refused() -> None:
+    assert run([b"$G\xff" + GGA]) == [
+        Rejected("NMEA malformed", 0, 3),
+        Frame(NMEA, 0, GGA, 2 + len(GGA)),
+    ]
+
+
+def test_sentence_without_end_does_not_swallow_the_next() -> None:
+    assert delivered(GGA[:-2] + GGA) == [GGA]
+    assert delivered(b"$GNGGA," + b"1" * 5000 + GGA) == [GGA]
+
+
+def test_text_header_is_noise() -> None:
+    text = b"# a capture's header: name = value\n"
+    assert run([text + PVT])[0] == Rejected(NOISE, 0, len(text))
+
+
+def test_every_truncation_keeps_the_whole_frames() -> None:
+    stream = PVT + GGA + CORRECTION
+    for size in range(len(stream)):
+        assert delivered(stream[:size]) == [
+            frame
+            for frame, end in ((PVT, 100), (GGA, 100 + len(GGA)))
+            if end <= size
+        ]  # fmt: skip
+
+
+@given(st.binary(max_size=1026))
+def test_crc24q_agrees_with_pyrtcm(data: bytes) -> None:
+    assert crc24q(data) == calc_crc24q(data)
+
+
+@given(st.binary(max_size=3000))
+def test_fletcher_checksum_agrees_with_pyubx2(payload: bytes) -> None:
+    frame = ubx_frame(UNKNOWN, payload)
+    assert frame[-2:] == calc_checksum(frame[2:-2])
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", CAPTURES)
+def test_any_cut_of_a_capture_gives_the_same(data_dir: Path, name: str) -> None:
+    data = (data_dir / "ubx" / name).read_bytes()
+    whole = run([data])
+    rng = np.random.default_rng(7)
+    for cuts in (10, 3000):
+        assert run(cut(data, rng.integers(0, len(data), cuts).tolist())) == whole
+    start = int(rng.integers(0, len(data) - 20_000))
+    piece = data[start : start + 20_000]
+    assert run([piece[i : i + 1] for i in range(len(piece))]) == run([piece])
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", CAPTURES)
+def test_flipped_bits_cost_no_intact_frame(data_dir: Path, name: str) -> None:
+    """One bit in 10,000 is flipped; every frame without a flipped bit arrives, in its place."""
+    data = (data_dir / "ubx" / name).read_bytes()
+    clean = [item for item in run([data]) if isinstance(item, Frame)]
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        bits = np.unique(rng.integers(0, len(data) * 8, round(len(data) * 8 / 10_000)))
+        spoilt = np.frombuffer(data, np.uint8).copy()
+        np.bitwise_xor.at(spoilt, bits // 8, (1 << bits % 8).astype(np.uint8))
+        hit = np.zeros(len(data) + 1, np.int64)
+        hit[1:] = np.cumsum(np.bincount(bits // 8, minlength=len(data)))
+        intact = {(f.end, f.raw) for f in clean if hit[f.end + 1] == hit[f.start]}
+        got = {(f.end, f.raw) for f in run([spoilt.tobytes()]) if isinstance(f, Frame)}
+        assert intact <= got
+        assert len(intact) < len(clean)  # the flips did hit frames

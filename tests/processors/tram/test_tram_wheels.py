@@ -1,0 +1,87 @@
+"""Wheels of the model `tram`: slips that begin at walking pace, and counters that come late."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from rides import Errors, Ride, altered, judged, reference, ridden, run
+
+from tramstream.config import Vehicle, Wheels
+from tramstream.lines.line import built_in_line
+from tramstream.processors.tram.filter import TramFilter, parameters
+from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram.states import Ix, Pm
+from tramstream.simulation.scenario import Slide, Slip
+
+SEEDS = (1, 3)
+STOP = 2
+LATE_S = 0.012
+
+
+def departing(seed: int, **changes: object) -> Ride:
+    """Until half a minute after the departure from a stop."""
+    chosen = altered(reference(), **changes)
+    arrival_s = 54.0
+    return ridden(built_in_line(), chosen, seed, arrival_s + 50.0)
+
+
+def gone(ride: Ride) -> tuple[TramLocaliser, Errors]:
+    localiser = TramLocaliser(ride.simulation.vehicle)
+    return localiser, judged(ride.simulation, localiser, run(localiser, ride.frames))
+
+
+@cache
+def undisturbed(seed: int) -> Errors:
+    return gone(departing(seed))[1]
+
+
+def slips_of(localiser: TramLocaliser) -> int:
+    navigation = localiser._navigation
+    assert navigation is not None
+    return navigation.wheels.slips
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("factor", [1.09, 1.4, 0.9])
+def test_slip_at_walking_pace_is_no_slope(factor: float, seed: int) -> None:
+    """From one second after the departure, at half a metre a second, for 1.4 s."""
+    kind = Slip if factor > 1.0 else Slide
+    departure_s = departing(seed).departure_s(STOP)
+    slip = kind(start_s=departure_s + 1.0, duration_s=1.4, factor=factor)
+    ride = departing(seed, events=(slip,))
+    localiser, errors = gone(ride)
+    after = errors.within(departure_s, departure_s + 30.0)
+    assert slips_of(localiser) == 2  # each wheel once
+    assert np.abs(after.speed_mps).max() < 0.08
+    assert np.abs(after.within(departure_s + 8.0, departure_s + 30.0).speed_mps).max() < 0.03
+    without = undisturbed(seed).within(departure_s, departure_s + 30.0)
+    moved = (after.p_l - without.p_l)[:, :2]
+    assert np.hypot(moved[:, 0], moved[:, 1]).max() < 0.3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_wheels_with_a_late_counter_are_believed_after_a_slide_at_speed(seed: int) -> None:
+    late = {"timing": {"stamp_offset_s": LATE_S}}
+    departure_s = departing(seed).departure_s(STOP)
+    slide = Slide(start_s=departure_s + 14.0, duration_s=2.0, factor=0.3)
+    ride = departing(seed, events=(slide,), wheels=late)
+    localiser, errors = gone(ride)
+    assert slips_of(localiser) == 2
+    after = errors.within(departure_s + 14.0, departure_s + 30.0)
+    assert np.abs(after.speed_mps).max() < 0.05
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_path_that_is_counted_anew_holds_what_the_counter_has_not_shown(sign: float) -> None:
+    ekf = TramFilter(parameters(Vehicle(vehicle="none", wheels=Wheels()), 9.81))
+    ekf.P = np.diag(np.full(len(Ix), 1e-4))
+    ekf.parameters[Pm.SIGN_B] = sign
+    ekf.memory[Ix.SPEED], ekf.memory[Ix.WHEEL_DELAY], ekf.memory[Ix.SCALE_B] = 10.0, 0.01, 0.02
+    ekf.tie(1, 1e-6)
+    assert ekf.memory[Ix.PATH_B] == pytest.approx(sign * 0.102)
+    assert ekf.counted(1) == pytest.approx(0.0, abs=1e-12)
+    assert ekf.P[Ix.PATH_B, Ix.PATH_B] == pytest.approx(1e-6 + (10.0**2 + 0.01**2) * 1e-4)
+    verdict = ekf.path(1, 0.0, 1e-6)
+    assert verdict.innovation == pytest.approx(0.0, abs=1e-12)

@@ -1,0 +1,114 @@
+"""Rides on a network: where the line lies, what is beside what, and where detours go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from networks import junctions as network
+
+from tramstream.simulation.detours import detour
+from tramstream.simulation.track_rides import (
+    MapError,
+    NetworkRide,
+    Route,
+    Spots,
+    lay,
+    plan_at,
+    route_of,
+    spots,
+)
+
+CM = 0.01  # m
+BRANCHING = Route("branch", (0, 4), 10.0, 550.0, (0.0, 550.0))
+CROSSING = Route("crossover", (0, 2, 12, 8), 10.0, 1100.0, (0.0, 1100.0))
+
+
+def laid(route: Route, seed: int = 1, error: MapError | None = None) -> NetworkRide:
+    return lay(network(), route, np.random.default_rng(seed), error)
+
+
+def beside_m(ride: NetworkRide, route_m: np.ndarray) -> np.ndarray:
+    """From the map's point of the route to the line at the same place, m, (n, 2)."""
+    position = ride.line.position_l(ride.arc_length_at(route_m))
+    geodetic = ride.line.level.to_geodetic(position)
+    return network().plan_of(geodetic) - plan_at(network(), ride.spots_at(route_m))
+
+
+def test_points_of_a_route_lie_on_its_runs_in_both_directions() -> None:
+    at = spots(network(), CROSSING, [0.0, 289.9, 290.1, 889.9, 900.0, 1100.0])
+    np.testing.assert_array_equal(at.run, [0, 0, 2, 2, 12, 8])
+    np.testing.assert_allclose(at.chainage_m[:3], [10.0, 299.9, 0.1], atol=1e-9)
+    there, back = Spots(np.array([4]), np.array([60.0])), Spots(np.array([5]), np.zeros(1))
+    back.chainage_m[0] = network().length_m[2] - 60.0
+    np.testing.assert_allclose(plan_at(network(), there), plan_at(network(), back), atol=1e-9)
+
+
+@pytest.mark.parametrize("route", [BRANCHING, CROSSING, route_of(network().lines[0])])
+def test_line_without_error_lies_on_the_map_and_knows_where(route: Route) -> None:
+    ride = laid(route, error=MapError(0.0))
+    assert ride.line.length_m == pytest.approx(route.length_m, abs=0.3)
+    route_m = np.linspace(0.0, route.length_m, 200)
+    off = beside_m(ride, route_m)
+    assert np.max(np.hypot(*off.T)) < 30 * CM  # the fit cuts corners where curves begin
+    stops = ride.route_at(ride.line.stops_m)
+    np.testing.assert_allclose(stops, route.stops_m, atol=30 * CM)
+
+
+def test_line_is_as_far_beside_the_map_as_the_error_says() -> None:
+    route_m = np.arange(0.0, 1100.0, 5.0)
+    across = np.array([beside_m(laid(CROSSING, seed), route_m) for seed in range(12)])
+    size = np.hypot(across[..., 0], across[..., 1])
+    assert np.sqrt(np.mean(size**2)) == pytest.approx(0.4, rel=0.2)
+    north = across[:, route_m < 800.0, 1]  # the straight goes east
+    assert np.max(np.abs(across[:, route_m < 800.0, 0])) < 10 * CM
+    assert np.std(north) == pytest.approx(0.4, rel=0.2)
+    near = np.mean(north[:, 1:] * north[:, :-1]) / np.var(north)
+    far = np.mean(north[:, 24:] * north[:, :-24]) / np.var(north)
+    assert near > 0.95
+    assert abs(far) < 0.25
+
+
+def test_truth_moves_along_the_route_and_never_back() -> None:
+    ride = laid(CROSSING)
+    route_m = ride.route_at(np.linspace(0.0, ride.line.length_m, 5000))
+    assert np.all(np.diff(route_m) >= 0.0)
+    assert route_m[0] == pytest.approx(0.0, abs=CM)
+    assert route_m[-1] == pytest.approx(CROSSING.length_m, abs=10 * CM)
+    order = [CROSSING.runs.index(run) for run in ride.spots_at(route_m).run.tolist()]
+    assert order == sorted(order)
+    assert set(order) == {0, 1, 2, 3}
+
+
+def test_choices_are_the_facing_switches_of_the_route() -> None:
+    first, second = laid(CROSSING).choices
+    nodes = network().to_node
+    assert (first.route_m, first.node, first.run, first.taken) == (290.0, nodes[0], 0, 2)
+    assert (first.others, second.others) == ((4,), (6,))
+    assert (second.route_m, second.node) == (890.0, nodes[1])
+    trailing = Route("trailing", (9, 13, 3), 0.0, 500.0, (0.0, 500.0))
+    assert [each.node for each in laid(trailing).choices] == [network().from_node[4]]
+
+
+def test_same_generator_gives_the_same_line() -> None:
+    one, again, other = (laid(CROSSING, seed) for seed in (3, 3, 4))
+    at = np.linspace(0.0, 1000.0, 50)
+    np.testing.assert_array_equal(one.line.position_l(at), again.line.position_l(at))
+    assert np.max(np.abs(one.line.position_l(at) - other.line.position_l(at))) > 10 * CM
+
+
+def test_detours_go_where_trams_may_and_take_other_ways_than_the_line() -> None:
+    line = network().lines[0]
+    rng = np.random.default_rng(5)
+    routes = [detour(network(), line, rng, length_m=1100.0) for _ in range(40)]
+    legal = set(network().edges.tolist())
+    for route in routes:
+        assert set(route.runs) <= legal
+        for run, after in zip(route.runs, route.runs[1:], strict=False):
+            assert after in network().following_of(run)
+        assert route.begin_m >= 10.0
+        assert route.stops_m[0] == 0.0
+        assert route.stops_m[-1] == route.length_m
+        assert np.all(np.diff(route.stops_m) >= 60.0)
+        assert 12 in route.runs  # the only legal way off the line
+    assert not any(4 in route.runs for route in routes)  # ends 340 m on, the other way does not
+    assert any(len(route.stops_m) > 2 for route in routes)

@@ -1,0 +1,381 @@
+"""Nodes that die or freeze are started again; real processes are in `test_pipeline.py`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import pytest
+from live import HANG_S, SLEEP
+from scripted import ManualClock
+
+from tramstream import config, keys
+from tramstream.config import Bus, Gnss, Imu, Simulator, Vehicle
+from tramstream.errors import BusError, NodeError
+from tramstream.live import registry
+from tramstream.supervision import roster, supervisor
+from tramstream.supervision.process import Running
+from tramstream.supervision.roster import Proc
+from tramstream.supervision.supervisor import BACKOFF_MAX_S, GOOD_RUN_S, Plan, Supervisor
+from tramstream.transport.bus import LocalBus
+
+TURN_S = 0.1
+
+
+class FakeProcess(Running):
+    """A process that lives until it is told, or takes a signal."""
+
+    def __init__(self, name: str, pid: int, log: list[str], stubborn: bool = False) -> None:
+        self.name = name
+        self.pid = pid
+        self.ends_with: int | None = None
+        self.frozen = False
+        self._log = log
+        self._stubborn = stubborn
+
+    def ended(self, timeout_s: float = 0.0) -> bool:
+        return self.ends_with is not None
+
+    def status(self) -> int | None:
+        return self.ends_with
+
+    def send(self, number: signal.Signals) -> None:
+        if number == signal.SIGKILL or not (self.frozen or self._stubborn):
+            self._log.append(f"{self.name} {number.name}")
+            self.ends_with = -int(number)
+
+    def close(self) -> None:
+        pass
+
+
+class Scene:
+    """A supervisor whose processes and time are played."""
+
+    def __init__(self, folder: Path, separate: bool = False) -> None:
+        self.vehicle = Vehicle(
+            vehicle="t1",
+            bus=Bus(runtime_dir=str(folder)),
+            gnss=Gnss(device="/dev/none"),
+            imu=Imu(device="/dev/none"),
+            simulators={"ride": Simulator(kind="ride", link="/tmp/x")},
+        )
+        self.now_s = 1000.0
+        self.started: list[tuple[str, float]] = []
+        self.processes: dict[str, FakeProcess] = {}
+        self.signals: list[str] = []
+        self.said: list[str] = []
+        self.bus = LocalBus(ManualClock())
+        self.ends_at_start: set[str] = set()
+        self.plan = Plan(self.vehicle, Path("t.toml"), separate, successor=("run", roster.REST))
+        self.supervisor = Supervisor(self.plan, self.said.append, self._start, lambda: self.now_s)
+
+    def _start(self, name: str) -> Running:
+        self.started.append((name, self.now_s))
+        process = FakeProcess(name, 5_000_000 + len(self.started), self.signals)
+        self.processes[name] = process
+        if name in self.ends_at_start:
+            process.ends_with = 2
+        else:
+            self.bus.announce(keys.alive("t1", name))
+        return process
+
+    def begin(self) -> None:
+        self.supervisor.claim()
+        self.supervisor.join(lambda: self.bus)
+        self.supervisor.start(self.bus)
+
+    def go_on(self, seconds: float, *silent: str) -> None:
+        """Watch for so long, with heartbeats of all that live and are not `silent`."""
+        for turn in range(round(seconds / TURN_S)):
+            if turn % 10 == 0:
+                for name, process in self.processes.items():
+                    if name not in silent and not process.ended():
+                        self.supervisor.heard(name, process.pid)
+            self.now_s += TURN_S
+            self.supervisor.watch()
+
+    def starts_of(self, name: str) -> list[float]:
+        return [at_s for each, at_s in self.started if each == name]
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="tram-") as name:
+        yield Path(name)
+
+
+@pytest.fixture
+def scene(folder: Path) -> Iterator[Scene]:
+    scene = Scene(folder)
+    yield scene
+    scene.supervisor.stop_router()
+
+
+# Order --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("separate", [False, True])
+def test_router_starts_first_and_ends_last_with_the_recorder_next_to_it(
+    folder: Path, separate: bool
+) -> None:
+    scene = Scene(folder, separate)
+    scene.begin()
+    assert [name for name, _ in scene.started[:2]] == ["router", "recorder"]
+    assert {name for name, _ in scene.started} == set(registry.node_names(scene.vehicle, separate))
+    scene.supervisor.stop_nodes(None)
+    assert "router SIGTERM" not in scene.signals
+    scene.supervisor.stop_router()
+    kinds = {
+        **dict.fromkeys(registry.names("bridges"), "bridge"),
+        **dict.fromkeys(["processors", *registry.names("processors")], "processor"),
+    }
+    ends = [line.removesuffix(" SIGTERM") for line in scene.signals]
+    order = [kinds.get(name, name) for name in ends]
+    assert list(dict.fromkeys(order)) == [
+        *("bridge", "processor", "simulators", "recorder", "router")
+    ]
+    assert sorted(ends) == sorted(registry.node_names(scene.vehicle, separate))
+
+
+def test_stubborn_node_is_killed_at_the_end(scene: Scene) -> None:
+    scene.begin()
+    scene.processes["imu"].frozen = True
+    scene.supervisor.stop_nodes(None)
+    assert "imu SIGKILL" in scene.signals
+    assert any("node imu does not end" in line for line in scene.said)
+
+
+def test_node_that_ends_at_its_start_ends_the_run_with_its_status(scene: Scene) -> None:
+    scene.ends_at_start.add("imu")
+    with pytest.raises(NodeError, match="node imu ended with status 2 at its start") as caught:
+        scene.begin()
+    assert caught.value.exit_status == 2
+
+
+def test_router_that_ends_at_its_start_ends_the_run(scene: Scene) -> None:
+    scene.ends_at_start.add("router")
+
+    def connect() -> LocalBus:
+        raise BusError("no bus")
+
+    scene.supervisor.claim()
+    with pytest.raises(NodeError, match="node router ended with status 2"):
+        scene.supervisor.join(connect)
+
+
+# Dying --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["imu", "router"])
+def test_node_that_dies_again_and_again_is_started_at_growing_pauses(
+    scene: Scene, name: str
+) -> None:
+    scene.begin()
+    pauses_s = []
+    for _ in range(14):
+        died_s = scene.now_s
+        scene.processes[name].ends_with = 1
+        count = len(scene.starts_of(name))
+        while len(scene.starts_of(name)) == count:
+            scene.go_on(TURN_S)
+        pauses_s.append(scene.starts_of(name)[-1] - died_s)
+    assert pauses_s[0] < 0.5
+    for one, other in pairwise(pauses_s):
+        assert other >= min(2 * one - 3 * TURN_S, BACKOFF_MAX_S)
+        assert other <= BACKOFF_MAX_S + 2 * TURN_S
+    assert pauses_s[-1] >= BACKOFF_MAX_S
+    others = [each for each, _ in scene.started if each != name]
+    assert len(others) == len(set(others))
+
+
+def test_node_that_lived_long_is_started_again_at_once(scene: Scene) -> None:
+    scene.begin()
+    for _ in range(8):
+        scene.processes["imu"].ends_with = 1
+        scene.go_on(BACKOFF_MAX_S + 1.0)
+    scene.go_on(GOOD_RUN_S + 1.0)
+    scene.processes["imu"].ends_with = 1
+    died_s = scene.now_s
+    scene.go_on(1.0)
+    assert scene.starts_of("imu")[-1] - died_s < 0.5
+    assert any("node imu ended with status 1; starting it again" in line for line in scene.said)
+
+
+# Freezing -----------------------------------------------------------------------------------------
+def test_frozen_node_is_said_killed_and_replaced(scene: Scene) -> None:
+    scene.begin()
+    scene.go_on(10.0)
+    frozen = scene.processes["recorder"]
+    frozen.frozen = True
+    begin_s = scene.now_s
+    scene.go_on(8.0, "recorder")
+    assert "node recorder has given no heartbeat for 3 s" in scene.said
+    assert any("no heartbeat for 5 s; killing it" in line for line in scene.said)
+    assert scene.signals == ["recorder SIGKILL"]
+    assert scene.processes["recorder"] is not frozen
+    assert scene.starts_of("recorder")[-1] - begin_s < 6.5
+    others = {name for name, _ in scene.started} - {"recorder"}
+    assert all(len(scene.starts_of(name)) == 1 for name in others)
+
+
+def test_heartbeats_of_another_process_do_not_hide_a_frozen_node(scene: Scene) -> None:
+    scene.begin()
+    scene.go_on(5.0)
+    scene.processes["imu"].frozen = True
+    for _ in range(8):
+        scene.supervisor.heard("imu", 4711)
+        scene.go_on(1.0, "imu")
+    assert scene.signals == ["imu SIGKILL"]
+
+
+def test_supervisor_that_stood_still_kills_nobody(scene: Scene) -> None:
+    scene.begin()
+    scene.go_on(5.0)
+    scene.now_s += 600.0  # stopped by a signal, or the machine slept
+    scene.go_on(20.0)
+    assert scene.signals == []
+    assert scene.said == []
+
+
+def test_slow_clock_makes_heartbeats_rare_and_kills_nobody(folder: Path) -> None:
+    scene = Scene(folder)
+    slow = Plan(scene.vehicle, Path("t.toml"), rate=0.1)
+    scene.supervisor = Supervisor(slow, scene.said.append, scene._start, lambda: scene.now_s)
+    scene.begin()
+    for _ in range(5):
+        for name, process in scene.processes.items():
+            scene.supervisor.heard(name, process.pid)
+        scene.go_on(10.0, *scene.processes)  # one heartbeat in ten seconds
+    assert scene.signals == []
+    scene.supervisor.stop_router()
+
+
+# Succession ---------------------------------------------------------------------------------------
+@pytest.fixture
+def sleepers() -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """Processes that stand for nodes of a supervisor that was killed."""
+    names = ("router", "recorder", "processors", "imu")
+    children = {name: subprocess.Popen(SLEEP) for name in names}
+    yield children
+    for child in children.values():
+        child.kill()
+        child.wait()
+
+
+def left_behind(
+    scene: Scene, sleepers: dict[str, subprocess.Popen[bytes]], **fields: object
+) -> None:
+    """Write the roster of a supervisor that is gone."""
+    nodes = {name: Proc.of(child.pid) for name, child in sleepers.items()}
+    known = roster.Roster(
+        boot=roster.fresh().boot,
+        supervisor=Proc(os.getpid(), 1),
+        claimed=True,
+        command=("run",),
+        configuration=config.digest(scene.vehicle),
+        nodes={name: process for name, process in nodes.items() if process is not None},
+        lost=7,
+    )
+    roster.write(scene.vehicle.runtime_dir, msgspec.structs.replace(known, **fields))
+
+
+def test_living_nodes_are_taken_over_and_only_the_missing_are_started(
+    scene: Scene, sleepers: dict[str, subprocess.Popen[bytes]]
+) -> None:
+    left_behind(scene, sleepers)
+    scene.begin()
+    assert scene.supervisor.took_over
+    assert scene.supervisor.lost == 7
+    scene.go_on(TURN_S)
+    missing = set(registry.node_names(scene.vehicle)) - set(sleepers)
+    assert {name for name, _ in scene.started} == missing
+    known = roster.read(scene.vehicle.runtime_dir)
+    assert known is not None
+    assert known.supervisor == Proc.of(os.getpid())
+    assert set(known.nodes) >= set(sleepers)
+
+    sleepers["imu"].kill()
+    sleepers["imu"].wait()
+    scene.go_on(1.0, *scene.processes)
+    assert scene.starts_of("imu")
+    assert "node imu ended; starting it again in 0.2 s" in scene.said
+    scene.supervisor.stop_nodes(None)
+    scene.supervisor.stop_router()
+    assert all(child.wait(HANG_S) == -signal.SIGTERM for name, child in sleepers.items()
+               if name != "imu")  # fmt: skip
+    assert roster.read(scene.vehicle.runtime_dir) is None
+
+
+@pytest.mark.parametrize(
+    "fields", [{"configuration": "another"}, {"ending": True}, {"command": ()}]
+)
+def test_nodes_of_other_settings_or_of_a_run_that_was_ending_are_ended_not_taken_over(
+    scene: Scene, sleepers: dict[str, subprocess.Popen[bytes]], fields: dict[str, object]
+) -> None:
+    left_behind(scene, sleepers, **fields)
+    scene.begin()
+    assert not scene.supervisor.took_over
+    assert all(child.wait(HANG_S) == -signal.SIGTERM for child in sleepers.values())
+    assert [name for name, _ in scene.started][:2] == ["router", "recorder"]
+    assert set(scene.processes) == set(registry.node_names(scene.vehicle))
+
+
+def test_frozen_router_that_was_taken_over_is_replaced_before_anything_else(
+    scene: Scene, sleepers: dict[str, subprocess.Popen[bytes]]
+) -> None:
+    left_behind(scene, sleepers)
+    scene.supervisor.claim()
+
+    def connect() -> LocalBus:
+        scene.now_s += 2.0  # what zenoh waits for
+        if not scene.starts_of("router"):
+            raise BusError("no answer")
+        return scene.bus
+
+    assert scene.supervisor.join(connect) is scene.bus
+    assert sleepers["router"].wait(HANG_S) == -signal.SIGKILL
+    assert len(scene.starts_of("router")) == 1
+    assert "node router does not answer; killing it" in scene.said
+
+
+def test_second_supervisor_of_a_folder_is_refused_and_the_first_goes_on(scene: Scene) -> None:
+    scene.begin()
+    with subprocess.Popen(SLEEP) as other:
+        known = roster.read(scene.vehicle.runtime_dir)
+        assert known is not None
+        process = Proc.of(other.pid)
+        roster.write(scene.vehicle.runtime_dir, msgspec.structs.replace(known, supervisor=process))
+        second = Supervisor(scene.plan, scene.said.append, scene._start)
+        with pytest.raises(BusError, match=f"`kill {other.pid}` ends it"):
+            second.claim()
+        other.kill()
+
+
+def test_successor_knows_what_was_lost_and_when_the_run_ends(scene: Scene) -> None:
+    scene.begin()
+    scene.supervisor.lose(3)
+    scene.supervisor.lose(2)
+    scene.supervisor.end_at(1234.5)
+    known = roster.read(scene.vehicle.runtime_dir)
+    assert known is not None
+    assert known.lost == scene.supervisor.lost == 5
+    assert known.ends_s == 1234.5
+    assert known.command == ("run", roster.REST)
+    assert known.claimed
+    assert not known.ending
+
+
+def test_vehicle_runs_on_when_the_roster_cannot_be_written(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder: Path, known: roster.Roster) -> None:
+        raise OSError(28, "No space left on device")
+
+    scene.begin()
+    monkeypatch.setattr(supervisor.roster, "write", full)
+    scene.processes["imu"].ends_with = 1
+    scene.go_on(1.0)
+    assert len(scene.starts_of("imu")) == 2
+    assert any("No space left on device" in line for line in scene.said)

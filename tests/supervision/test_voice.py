@@ -1,0 +1,108 @@
+"""What strangers publish on health keys ends nothing and hides nothing."""
+
+from __future__ import annotations
+
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from hypothesis import given
+from hypothesis import strategies as st
+from scripted import VEHICLE, ManualClock
+
+from tramstream import keys
+from tramstream.boundary import Undecodable, decode
+from tramstream.keys import Key
+from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.supervision.voice import RING_CAPACITY, Voice
+from tramstream.transport.bus import LocalBus
+
+HEARD = (keys.HEARTBEAT, keys.LOSS, keys.LOG)
+
+
+class Scene:
+    def __init__(self) -> None:
+        self.bus = LocalBus(ManualClock())
+        self.said: list[str] = []
+        self.beats: list[tuple[str, int]] = []
+        self.lost = 0
+        self.now_s = 0.0
+        self.voice = Voice(self.bus, VEHICLE, self.said.append, self, lambda: self.now_s)
+
+    def heard(self, name: str, pid: int) -> None:
+        self.beats.append((name, pid))
+
+    def lose(self, count: int) -> None:
+        self.lost += count
+
+    def put(self, key: Key, payload: bytes) -> None:
+        self.bus.publish(key.on(VEHICLE), payload, key.encoding, 1)
+
+
+def test_nodes_speak_and_a_state_is_told_when_it_changes() -> None:
+    scene = Scene()
+    scene.put(keys.LOG.at("imu"), Log(name="imu", message="opened again").SerializeToString())
+    for text in ("", "late by 3 s", "late by 4 s", "", ""):
+        beat = NodeHealth(node="imu", pid=42, text=text)
+        scene.put(keys.HEARTBEAT.at("imu"), beat.SerializeToString())
+    scene.voice.speak()
+    assert sorted(scene.said) == [
+        "imu: all is well again",
+        "imu: late by 3 s",
+        "imu: opened again",
+    ]
+    assert scene.beats == [("imu", 42)] * 5
+
+
+def test_messages_of_three_and_six_bytes_are_said_and_left_out() -> None:
+    scene = Scene()
+    scene.put(keys.LOG.at("x"), b"\x0a\xff\xff")
+    scene.put(keys.HEARTBEAT.at("x"), b"\x0a\xff\xff\xff\xff\x0f")
+    scene.voice.speak()
+    assert scene.voice.left_out == 2
+    assert len(scene.said) == 1  # once in a while
+    assert "health/x/heartbeat: 6 bytes are no tramstream.NodeHealth; left out" in scene.said[0]
+    scene.now_s += 60.0
+    scene.put(keys.LOG.at("x"), b"\x0a\xff\xff")
+    scene.voice.speak()
+    assert "health/x/log: 3 bytes are no foxglove.Log" in scene.said[1]
+    assert "3 so far" in scene.said[1]
+
+
+@given(st.lists(st.tuples(st.sampled_from(HEARD), st.binary(max_size=40)), max_size=30))
+def test_any_bytes_are_heard_or_counted(messages: list[tuple[Key, bytes]]) -> None:
+    scene = Scene()
+    bad = 0
+    for key, payload in messages:
+        scene.put(key.at("recorder"), payload)
+        bad += isinstance(decode(key.type, payload, "k"), Undecodable)
+    scene.voice.speak()
+    assert scene.voice.left_out == bad
+    assert len(scene.beats) == sum(
+        key is keys.HEARTBEAT and not isinstance(decode(key.type, payload, "k"), Undecodable)
+        for key, payload in messages
+    )
+
+
+def test_flood_of_sentences_drowns_no_heartbeat() -> None:
+    scene = Scene()
+    scene.put(keys.HEARTBEAT.at("imu"), NodeHealth(node="imu", pid=42).SerializeToString())
+    for key in (keys.LOG, keys.LOSS):
+        for _ in range(5 * RING_CAPACITY):
+            scene.put(key.at("x"), b"\xff")
+    scene.voice.speak()
+    assert scene.beats == [("imu", 42)]
+    assert len(scene.said) == 1
+
+
+@pytest.mark.parametrize(
+    ("node", "consumer", "counted"),
+    [("recorder", "recorder", 12), ("processors", "processors", 0), ("x", "recorder", 0)],
+)
+def test_losses_of_the_recorder_are_losses_of_the_record(
+    node: str, consumer: str, counted: int
+) -> None:
+    scene = Scene()
+    for cause in (Loss.Cause.BUS, Loss.Cause.QUEUE, Loss.Cause.DISK):
+        loss = Loss(consumer=consumer, key="k", count=4, cause=cause)
+        scene.put(keys.LOSS.at(node), loss.SerializeToString())
+    scene.voice.speak()
+    assert scene.lost == counted

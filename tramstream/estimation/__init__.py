@@ -1,0 +1,1 @@
+"""What all estimators share: covariance algebra, the localiser's contract, messages."""

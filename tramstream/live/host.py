@@ -1,0 +1,317 @@
+"""Runs processors live: the bus' messages and the ports' bytes go through `step`, results go out.
+
+Between the processors of one process objects are passed, not bytes; each output is encoded once,
+for the bus. Where a processor listens to ticks, the host makes them, ten a second, each with how
+far every input had been read: that, and the snapshots, is what reprocessing repeats a ride by.
+An input that is no message, or has a stamp from the future, is refused: counted, told, named.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median_low
+from typing import Any
+
+from tramstream import keys
+from tramstream.boundary import Undecodable, decode
+from tramstream.clock import S
+from tramstream.keys import Key
+from tramstream.live import snapshots
+from tramstream.live.node import Node
+from tramstream.live.ports import Port, PortReader
+from tramstream.processor import Ledger, Processor, Sample
+from tramstream.proto.health_pb2 import DeviceHealth, Loss
+from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
+from tramstream.stamps import MAX_AHEAD_NS, ahead_ns
+from tramstream.transport.bus import Bus, Envelope
+
+TICK_S = 0.1
+RAW_S = 0.1
+"""Raw bytes and frames are published this often: ten messages a second instead of two hundred."""
+SNAPSHOT_S = 5.0
+"""The memory on disk, from which a process that was killed goes on, is never older."""
+SNAPSHOT_RECORDED_S = 30.0
+"""In the record it is for what begins in the middle of a ride; 60 kB each."""
+DEVICE_HEALTH_S = 1.0
+LEAD_WINDOW_S = 2.0
+"""Event time follows the newest input of at least this long."""
+
+
+class ProcessorNode(Node):
+    """A node made of processors, and of the ports that feed them.
+
+    Parameters
+    ----------
+    processors : sequence of Processor
+    ports : sequence of Port
+        Their raw messages are stepped through the processors and published.
+    snapshot_path : Path or None
+        Where the memory is kept for a restart; None keeps none.
+    configuration : str
+        Digest of the processors' configuration: memory made with another one is not taken back.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        vehicle: str,
+        bus: Bus,
+        stop: threading.Event,
+        processors: Sequence[Processor],
+        ports: Sequence[Port] = (),
+        snapshot_path: Path | None = None,
+        configuration: str = "",
+    ) -> None:
+        super().__init__(name, vehicle, bus, stop)
+        self.processors = list(processors)
+        self.readers = [PortReader(port, self._from_port(port), stop) for port in ports]
+        self._consumers: dict[str, list[Processor]] = {}
+        for processor in processors:
+            for key in processor.inputs:
+                self._consumers.setdefault(key.path, []).append(processor)
+        self._by_topic: dict[str, Key] = {}
+        self._positions: dict[str, Position] = {}
+        self._raw: dict[str, list[Any]] = {}
+        self._lead = _Lead()
+        self._ticks = keys.SYNC_TICK.path in self._consumers
+        self._tick_sequence = 0
+        self._tick_ns = 0
+        self._received = 0
+        self._session = int.from_bytes(os.urandom(8), "little")
+        self._snapshot_path = snapshot_path
+        self._configuration = configuration
+        self._last_snapshot_ns = self._recorded_snapshot_ns = 0
+
+    # Setting up ----------------------------------------------------------------------------------
+    def expressions(self) -> list[str]:
+        made_here = {key.path for processor in self.processors for key in processor.outputs}
+        made_here |= {reader.port.key.path for reader in self.readers} | {keys.SYNC_TICK.path}
+        return sorted(path for path in self._consumers if path not in made_here)
+
+    def begin(self) -> None:
+        for path in self.expressions():
+            key = keys.find(path)
+            if key is not None:
+                self._by_topic[key.on(self.vehicle)] = key
+        if self._ticks:
+            self._restore()
+            self._take_snapshot(start=True)
+            self.every(TICK_S, self.tick)
+        if self.readers:
+            self.every(RAW_S, self.publish_raw)
+            self.every(DEVICE_HEALTH_S, self.device_health)
+            for reader in self.readers:
+                reader.start()
+
+    def finish(self) -> None:
+        for reader in self.readers:
+            reader.join(1.0)
+        self.drain()
+        if self.readers:
+            self.publish_raw()
+            self.device_health()
+        if self._ticks:
+            self.tick()
+            self._take_snapshot(end=True)
+
+    def _restore(self) -> None:
+        """Go on from the snapshot file of a process that died a moment ago."""
+        if self._snapshot_path is None:
+            return
+        state, sentence = snapshots.load(self._snapshot_path, self.clock.now_ns())
+        if sentence:
+            self.log(sentence)
+        if state is None:
+            return
+        same = state.configuration == self._configuration
+        if same and snapshots.restore(state, self.processors):
+            self._tick_sequence = state.tick_sequence
+            self.log(f"{self.name} goes on from the memory of its predecessor")
+        else:
+            self.log(f"{self._snapshot_path}: of other processors or settings; starting afresh")
+
+    # One item ------------------------------------------------------------------------------------
+    def _from_port(self, port: Port) -> Any:
+        return lambda message: self.ring.put(port.key.path, (port.key, message))
+
+    def handle(self, envelope: Envelope) -> None:
+        self._received += 1
+        topic = envelope.topic
+        key = self._by_topic.get(topic)
+        if key is None:
+            who = self.sources.name(envelope.session)
+            self._refuse(envelope, Loss.SOURCE, f"is from a second publisher, {who}")
+            return
+        message = decode(key.type, envelope.payload, topic)
+        if isinstance(message, Undecodable):
+            self._refuse(envelope, Loss.UNDECODABLE, f"holds bytes that are {message.reason}")
+            return
+        ahead = ahead_ns(message, envelope.arrival_ns)
+        if ahead > MAX_AHEAD_NS:
+            limit_s = MAX_AHEAD_NS / S
+            why = f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {limit_s:g} s"
+            self._refuse(envelope, Loss.STAMP, why)
+            return
+        if self.refusals.runs:
+            self.refusals.close(topic)
+        sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
+        if self._ticks:
+            self._note(sample, envelope.arrival_ns)
+        self.dispatch(sample)
+
+    def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: str) -> None:
+        self.refusals.refuse(envelope, cause, why, self.clock.now_ns())
+
+    def handle_item(self, item: Any) -> None:
+        """Keep the raw bytes for the record, whatever the decoder then makes of them."""
+        key, message = item
+        if isinstance(message, Exception):
+            raise message  # a bug in the port; its thread goes on
+        self._raw.setdefault(key.path, []).append(message)
+        self.dispatch(Sample(key, message, message.stamp_ns, message.sequence))
+
+    def dispatch(self, sample: Sample) -> None:
+        """Step a sample through everybody who wants it, and what follows likewise."""
+        work = deque([sample])
+        while work:
+            current = work.popleft()
+            for processor in self._consumers.get(current.key.path, ()):
+                try:
+                    results = processor.step(current)
+                except Exception as error:  # noqa: BLE001  a bug in one stage: told, counted
+                    self.fault(error)
+                    continue
+                for result in results:
+                    self.send(result)
+                    work.append(result)
+
+    def _note(self, sample: Sample, arrival_ns: int) -> None:
+        """Remember how far this key has been read, and what it says about event time."""
+        position = self._positions.get(sample.key.path)
+        if position is None:
+            position = Position(key=sample.key.path, first_publish_ns=sample.publish_ns)
+            self._positions[sample.key.path] = position
+        position.last_publish_ns = sample.publish_ns
+        position.count += 1
+        self._lead.see(sample.key.path, sample.stamp_ns, arrival_ns)
+
+    # Timers --------------------------------------------------------------------------------------
+    def tick(self) -> None:
+        """Let time pass; not before the first input, for event time follows the inputs.
+
+        While messages wait in the queue, it is not later than the last one that was read: a process
+        that stood still for a moment must not take its own delay for silence of the devices.
+        """
+        known = self._lead.event_ns(len(self.ring) > 0, self.clock.now_ns())
+        if known is None:
+            return
+        now_ns = self._tick_ns = max(known, self._tick_ns)
+        self.tell_refusals()  # before the tick that counts what was used instead
+        self._tick_sequence += 1
+        message = Tick(
+            stamp_ns=now_ns,
+            sequence=self._tick_sequence,
+            session=self._session,
+            positions=self._positions.values(),
+        )
+        sample = Sample(keys.SYNC_TICK, message, now_ns, self._tick_sequence)
+        self.send(sample)
+        self.dispatch(sample)
+        if self.clock.now_ns() - self._last_snapshot_ns > SNAPSHOT_S * S:
+            self._take_snapshot()
+
+    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
+        now_ns = self._last_snapshot_ns = self.clock.now_ns()
+        message = Snapshot(
+            session=self._session,
+            start=start,
+            tick_sequence=self._tick_sequence,
+            positions=self._positions.values(),
+            states=snapshots.take(self.processors),
+            configuration=self._configuration,
+        )
+        if start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S:
+            self._recorded_snapshot_ns = now_ns
+            self.publish(keys.SYNC_SNAPSHOT, message)
+        if self._snapshot_path is not None:
+            message.stamp_ns = now_ns
+            try:
+                snapshots.save(self._snapshot_path, message)
+            except OSError as error:
+                self.fault(error)
+
+    def publish_raw(self) -> None:
+        for reader in self.readers:
+            key = reader.port.key
+            reads = self._raw.get(key.path)
+            if reads:
+                self.publish_numbered(key, reader.port.join(reads))
+                reads.clear()
+
+    def publish_numbered(self, key: Key, message: Any) -> None:
+        """Publish a raw message that has its stamp already."""
+        message.sequence = self._sequences[key.path] = self._sequences.get(key.path, 0) + 1
+        self.put(key, message, message.sequence)
+
+    def device_health(self) -> None:
+        texts = []
+        for reader in self.readers:
+            state, text = reader.health()
+            texts.append(text)
+            message = DeviceHealth(
+                device=self.name,
+                port=reader.port.device,
+                state=state,
+                text=text,
+                opened=reader.opened,
+                bytes_received=reader.bytes_received,
+                silence_s=reader.silence_s,
+            )
+            for processor in self._consumers.get(reader.port.key.path, ()):
+                counters: dict[str, Any] = getattr(processor, "device_counters", dict)()
+                for name, value in counters.items():
+                    if name == "rejected_by_reason":
+                        message.rejected_by_reason.update(value)
+                    elif value is not None:
+                        setattr(message, name, value)
+            self.publish(keys.DEVICE.at(self.name), message)
+        self.trouble = "; ".join(text for text in texts if text)
+
+    def ledgers(self) -> list[Ledger]:
+        inside = [ledger for processor in self.processors for ledger in processor.ledgers()]
+        return [self.refusals.ledger(self._received, 0), *inside] if self._by_topic else inside
+
+
+class _Lead:
+    """How far event time is ahead of the clock: of each input the most it was lately.
+
+    Live it is a few milliseconds negative; for a replayed record it is the age of the record. The
+    (lower) median over the inputs counts, so that one device with broken stamps moves nothing.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns = 0
+        self._now: dict[str, int] = {}
+        self._before: dict[str, int] = {}
+        self._read_ns = 0
+
+    def see(self, path: str, stamp_ns: int, arrival_ns: int) -> None:
+        self._read_ns = arrival_ns
+        if arrival_ns - self._since_ns > LEAD_WINDOW_S * S:
+            self._since_ns, self._before, self._now = arrival_ns, self._now, {}
+        lead_ns = stamp_ns - arrival_ns
+        self._now[path] = max(lead_ns, self._now.get(path, lead_ns))
+
+    def event_ns(self, waiting: bool, now_ns: int) -> int | None:
+        """Event time now, or of the last message read if more are `waiting`; None before any."""
+        known = self._before | {
+            path: max(lead_ns, self._before.get(path, lead_ns))
+            for path, lead_ns in self._now.items()
+        }
+        if not known:
+            return None
+        return (self._read_ns if waiting else now_ns) + median_low(known.values())

@@ -1,0 +1,52 @@
+"""The router as a node: all meet at it; it describes message types and tells clock and UTC."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from tramstream import keys
+from tramstream.clock import boot_id
+from tramstream.live.node import Node
+from tramstream.proto.health_pb2 import ClockReference
+from tramstream.transport.bus import Bus
+
+NAME = "router"
+
+
+class RouterNode(Node):
+    """The router's own voice: descriptors for everybody, and what the clock reads against UTC.
+
+    Parameters
+    ----------
+    bus : Bus
+        The router's session.
+    """
+
+    CLOCK_S = 10.0
+
+    def __init__(self, vehicle: str, bus: Bus, stop: threading.Event) -> None:
+        super().__init__(NAME, vehicle, bus, stop)
+
+    def expressions(self) -> list[str]:
+        return []
+
+    def handle(self, envelope: object) -> None:
+        raise TypeError("the router reads nothing")
+
+    def begin(self) -> None:
+        self.bus.answer(keys.schema("*"), describe)
+        self._reference()
+        self.every(self.CLOCK_S, self._reference)
+
+    def _reference(self) -> None:
+        self.publish(keys.CLOCK, ClockReference(host_utc_ns=time.time_ns(), boot_id=boot_id()))
+
+
+def describe(topic: str) -> bytes | None:
+    """FileDescriptorSet of the message type that `topic` (`keys.schema`) ends with."""
+    name = topic.rsplit("/", 1)[-1]
+    for key in keys.ALL:
+        if key.type.DESCRIPTOR.full_name == name:
+            return keys.descriptor_set(key.type).SerializeToString()
+    return None

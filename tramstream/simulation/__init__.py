@@ -1,0 +1,1 @@
+"""Simulated rides with their truth: motion, sensors, and what goes wrong with them."""

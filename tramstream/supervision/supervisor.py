@@ -1,0 +1,371 @@
+"""Starts the nodes of a vehicle as processes of their own, and again those that die or freeze.
+
+The router is a node like the others; it starts first and ends last. Nodes end in the order bridges,
+processors, simulators, recorder, router, so that the record holds the last word of each. A
+supervisor that comes after one that was killed takes over the nodes that live, and does not start
+them twice: see `tramstream.supervision.roster` and `tramstream.supervision.succession`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from tramstream import config, keys
+from tramstream.config import Vehicle
+from tramstream.errors import BusError, NodeError
+from tramstream.live import registry, router
+from tramstream.supervision import roster
+from tramstream.supervision.heartbeats import FROZEN_S, Heartbeats, Silence
+from tramstream.supervision.process import Forks, Running
+from tramstream.supervision.roster import Proc
+from tramstream.transport.bus import Bus
+
+BACKOFF_FIRST_S = 0.2
+BACKOFF_ROUTER_S = 0.0
+"""Nobody hears anybody while the router is away: the first time it comes back at once."""
+BACKOFF_MAX_S = 10.0
+START_TIMEOUT_S = 30.0
+STOP_TIMEOUT_S = 10.0
+STOP_RECORDER_S = 40.0
+"""The recorder asks publishers for what is missing, and a slow disk takes what waits in memory."""
+LAST_WORD_S = 2.0
+GOOD_RUN_S = 30.0
+"""Who lived so long is started again at once."""
+POLL_S = 0.02
+
+
+@dataclass
+class Child:
+    """One node's process."""
+
+    name: str
+    running: Running | None = None
+    started_s: float = 0.0
+    starts: int = 0
+    backoff_s: float = BACKOFF_FIRST_S
+    again_s: float = 0.0
+
+    @property
+    def first_backoff_s(self) -> float:
+        return BACKOFF_ROUTER_S if self.name == router.NAME else BACKOFF_FIRST_S
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a supervisor runs.
+
+    `successor` is the command that starts another supervisor in its place, with `roster.REST` for
+    the seconds that are left; empty where nobody shall go on.
+    """
+
+    vehicle: Vehicle
+    config_path: Path
+    separate: bool = False
+    rate: float = 1.0
+    successor: Sequence[str] = ()
+
+
+class Supervisor:
+    """Runs the nodes of a vehicle.
+
+    Parameters
+    ----------
+    plan : Plan
+    say : callable
+        Takes one sentence for people.
+    start : callable or None
+        Starts the node of a name; by default as a fork of one server.
+    now_s : callable
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        say: Callable[[str], None],
+        start: Callable[[str], Running] | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.plan = plan
+        self.took_over = False
+        """Whether there were nodes of a supervisor before this one."""
+        self._runtime_dir = plan.vehicle.runtime_dir
+        self._say = say
+        self._start = start or Forks(plan.config_path, self._runtime_dir).start
+        self._now_s = now_s
+        self._heartbeats = Heartbeats(router.NAME)
+        self._watched_s = now_s()
+        self._lock: int | None = None
+        self._roster = msgspec.structs.replace(
+            roster.fresh(),
+            claimed=True,
+            command=tuple(plan.successor),
+            configuration=config.digest(plan.vehicle),
+        )
+        self.children = [Child(name) for name in registry.node_names(plan.vehicle, plan.separate)]
+        for child in self.children:
+            child.backoff_s = child.first_backoff_s
+
+    # Beginning -----------------------------------------------------------------------------------
+    def claim(self) -> None:
+        """Become the one supervisor of the runtime folder; take over what one before has left.
+
+        Raises
+        ------
+        BusError
+            If somebody else is.
+        """
+        self._lock = roster.lock(self._runtime_dir)
+        before = roster.read(self._runtime_dir)
+        living = before.living() if before is not None else {}
+        me = Proc.of(os.getpid()) or roster.NOBODY
+        self._roster = msgspec.structs.replace(self._roster, supervisor=me)
+        if before is not None and living:
+            names = {child.name for child in self.children}
+            same = before.configuration == self._roster.configuration and set(living) <= names
+            if same and before.command and not before.ending:
+                self._adopt(before, living)
+            else:
+                self._end_strangers(living)
+        self._save()
+
+    def _adopt(self, before: roster.Roster, living: dict[str, Proc]) -> None:
+        self.took_over = True
+        self._roster = msgspec.structs.replace(self._roster, lost=before.lost)
+        for child in self.children:
+            process = living.get(child.name)
+            if process is None:
+                continue
+            running = Running(process.pid)
+            if not process.alive:  # looked at only now that nobody else can get its number
+                running.close()
+                continue
+            child.running = running
+            child.started_s = self._now_s()
+            child.starts = 1
+            self._heartbeats.started(child.name, heard=True)
+
+    def _end_strangers(self, living: dict[str, Proc]) -> None:
+        """Nodes of other settings, or of a supervisor that was ending them, are not taken over."""
+        self._say(f"ending what a run before has left: {', '.join(living)}")
+        for name, process in reversed(living.items()):
+            self._end(name, Running(process.pid))
+
+    def join(self, connect: Callable[[], Bus]) -> Bus:
+        """Start the router if there is none, and return the session that `connect` opens with it.
+
+        Raises
+        ------
+        NodeError
+            If the router ends at its start; it has said why on standard error.
+        BusError
+            If it cannot be reached for as long as a node may take to start.
+        """
+        child = self.children[0]
+        if child.running is None:
+            self._spawn(child)
+        begin_s = since_s = self._now_s()
+        while True:
+            try:
+                return connect()
+            except BusError:
+                now_s = self._now_s()
+                if now_s - begin_s > START_TIMEOUT_S:
+                    raise
+            assert child.running is not None
+            if child.running.ended(POLL_S):
+                if not self.took_over:
+                    raise self._ended_at_start(child, child.running)
+                self._bury(child, child.running)
+                self._spawn(child)
+            elif self.took_over and now_s - since_s > FROZEN_S:
+                self._say(f"node {child.name} does not answer; killing it")
+                child.running.send(signal.SIGKILL)
+                since_s = now_s
+
+    def start(self, bus: Bus, each: Callable[[], None] = lambda: None) -> None:
+        """Start the recorder, and once it is alive on the bus all others at once.
+
+        Where nodes were taken over, `watch` starts those that are missing.
+
+        Parameters
+        ----------
+        bus : Bus
+        each : callable
+            Called while waiting, a few times a second.
+
+        Raises
+        ------
+        NodeError
+            If a node ends at once; it has said why on standard error.
+        """
+        if self.took_over:
+            return
+        _, first, *others = self.children
+        for group in ([first], others):
+            for child in group:
+                self._spawn(child)
+            for child in group:
+                self._await_alive(bus, child, each)
+
+    def end_at(self, ends_s: float) -> None:
+        """Let a successor know when the run ends, on the monotonic clock; 0 is never."""
+        self._roster = msgspec.structs.replace(self._roster, ends_s=ends_s)
+        self._save()
+
+    # Watching ------------------------------------------------------------------------------------
+    def heard(self, name: str, pid: int) -> None:
+        """Take note of a heartbeat; of another process than the node's own it is none."""
+        for child in self.children:
+            running = child.running
+            if child.name != name or running is None or running.pid != pid:
+                continue
+            if self._heartbeats.beat(name):
+                self._say(f"node {name} is heard again")
+
+    @property
+    def lost(self) -> int:
+        """Messages missing in the records of this run, as far as `lose` was told."""
+        return self._roster.lost
+
+    def lose(self, count: int) -> None:
+        """So many more messages are missing in the records."""
+        self._roster = msgspec.structs.replace(self._roster, lost=self._roster.lost + count)
+        self._save()
+
+    def watch(self) -> None:
+        """Start dead nodes again whose time has come, end frozen ones; call ten times a second."""
+        now_s = self._now_s()
+        dt_s, self._watched_s = now_s - self._watched_s, now_s
+        for child in self.children:
+            self._look_after(child, now_s)
+        # A ride on a slower clock has slower heartbeats.
+        for silence in self._heartbeats.pass_time(dt_s * min(1.0, self.plan.rate)):
+            self._break_silence(silence)
+
+    def _look_after(self, child: Child, now_s: float) -> None:
+        running = child.running
+        if running is None:
+            if now_s >= child.again_s:
+                self._spawn(child)
+            return
+        if not running.ended():
+            if now_s - child.started_s > GOOD_RUN_S:
+                child.backoff_s = child.first_backoff_s
+            return
+        status = running.status()
+        self._bury(child, running)
+        child.again_s = now_s + child.backoff_s
+        how = "" if status is None else f" with status {status}"
+        self._say(f"node {child.name} ended{how}; starting it again in {child.backoff_s:g} s")
+        child.backoff_s = min(max(2 * child.backoff_s, BACKOFF_FIRST_S), BACKOFF_MAX_S)
+        if now_s >= child.again_s:
+            self._spawn(child)
+
+    def _break_silence(self, silence: Silence) -> None:
+        text = f"node {silence.name} has given no heartbeat for {silence.limit_s:.0f} s"
+        if not silence.frozen:
+            self._say(text)
+            return
+        self._say(f"{text}; killing it, for another to take its place")
+        for child in self.children:
+            if child.name == silence.name and child.running is not None:
+                child.running.send(signal.SIGKILL)  # a stopped process takes no other
+
+    # Ending --------------------------------------------------------------------------------------
+    def stop_nodes(self, bus: Bus | None, each: Callable[[], None] = lambda: None) -> None:
+        """End all nodes but the router: the last started first, the recorder last.
+
+        With the bus, wait for the recorder's last words; `each` is called while waiting.
+        """
+        self._roster = msgspec.structs.replace(self._roster, ending=True)
+        self._save()
+        for child in reversed(self.children[1:]):
+            self._stop(child)
+        if bus is None:
+            return
+        # Who has left the bus in the router's eyes has been heard to the end by then.
+        token = keys.alive(self.plan.vehicle.vehicle, self.children[1].name)
+        end_s = self._now_s() + LAST_WORD_S
+        while bus.alive(token) and self._now_s() < end_s:
+            each()
+        each()
+
+    def stop_router(self) -> None:
+        """End the router, and give the supervisor's place away."""
+        self._stop(self.children[0])
+        if self._lock is not None:
+            roster.remove(self._runtime_dir)
+            os.close(self._lock)
+            self._lock = None
+
+    def _stop(self, child: Child) -> None:
+        running, child.running = child.running, None
+        if running is not None:
+            self._end(child.name, running)
+
+    def _end(self, name: str, running: Running) -> None:
+        running.send(signal.SIGTERM)
+        recorder = self.children[1].name
+        if not running.ended(STOP_RECORDER_S if name == recorder else STOP_TIMEOUT_S):
+            self._say(f"node {name} does not end; killing it")
+            running.send(signal.SIGKILL)
+            running.ended(STOP_TIMEOUT_S)
+        running.status()
+        running.close()
+
+    # Processes -----------------------------------------------------------------------------------
+    def _spawn(self, child: Child) -> None:
+        child.running = self._start(child.name)
+        child.started_s = self._now_s()
+        child.starts += 1
+        self._heartbeats.started(child.name)
+        self._save()
+
+    def _bury(self, child: Child, running: Running) -> None:
+        running.close()
+        child.running = None
+        self._heartbeats.ended(child.name)
+
+    def _await_alive(self, bus: Bus, child: Child, each: Callable[[], None]) -> None:
+        token = keys.alive(self.plan.vehicle.vehicle, child.name)
+        deadline_s = self._now_s() + START_TIMEOUT_S
+        while self._now_s() < deadline_s:
+            running = child.running
+            if running is not None and running.ended(POLL_S):
+                raise self._ended_at_start(child, running)
+            if bus.alive(token):
+                return
+            self._look_after(self.children[0], self._now_s())
+            each()
+        self._say(f"node {child.name} is not on the bus after {START_TIMEOUT_S:.0f} s; going on")
+
+    def _ended_at_start(self, child: Child, running: Running) -> NodeError:
+        status = running.status() or 0
+        self._bury(child, running)
+        return NodeError(f"node {child.name} ended with status {status} at its start", status)
+
+    def _save(self) -> None:
+        """Write the roster; without it the vehicle runs, but no successor finds its nodes."""
+        nodes = {
+            child.name: process
+            for child in self.children
+            if child.running is not None and (process := Proc.of(child.running.pid)) is not None
+        }
+        self._roster = msgspec.structs.replace(self._roster, nodes=nodes)
+        if self._lock is None:
+            return
+        try:
+            roster.write(self._runtime_dir, self._roster)
+        except OSError as error:
+            self._say(
+                f"{self._runtime_dir}: {error.strerror}; should this process be killed, "
+                "the nodes end with it"
+            )

@@ -1,0 +1,116 @@
+"""What the nodes of a vehicle have to say: heard by its supervisor, told to people."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from tramstream import keys
+from tramstream.boundary import Undecodable, decode
+from tramstream.keys import Key
+from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.transport.bus import Bus, Envelope
+from tramstream.transport.ring import Ring
+
+RING_CAPACITY = 1000
+STATES_KEPT = 256
+"""Nodes whose state is remembered: a stranger may make up any number of names."""
+AGAIN_S = 10.0
+"""What cannot be decoded is said so often."""
+RECORDER = "recorder"
+
+
+class Listener(Protocol):
+    """Who wants to know how the nodes are doing: the supervisor."""
+
+    def heard(self, name: str, pid: int) -> None:
+        """A heartbeat of node `name` from process `pid`."""
+
+    def lose(self, count: int) -> None:
+        """So many messages are missing in the record."""
+
+
+class Voice:
+    """Tells people what nodes log and when their state changes; each sentence once.
+
+    Heartbeats, losses and sentences have a queue each: a flood of one drowns no other. Anybody may
+    publish on these keys; what is no message of theirs is counted, said and left out.
+
+    Parameters
+    ----------
+    bus : Bus
+    vehicle : str
+    say : callable
+        Takes one sentence for people.
+    listener : Listener
+    now_s : callable
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        vehicle: str,
+        say: Callable[[str], None],
+        listener: Listener,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.left_out = 0
+        """Messages that could not be decoded."""
+        self._say = say
+        self._listener = listener
+        self._now_s = now_s
+        self._told_s = -AGAIN_S
+        self._texts: dict[str, str] = {}
+        self._rings: dict[str, tuple[Key, Ring[Envelope]]] = {}
+        for key in (keys.HEARTBEAT, keys.LOSS, keys.LOG):
+            ring: Ring[Envelope] = Ring(RING_CAPACITY)
+            self._rings[key.path] = key, ring
+            bus.subscribe(key.on(vehicle), _putter(ring))
+
+    def speak(self) -> None:
+        """Say what has come."""
+        for key, ring in self._rings.values():
+            for _ in range(len(ring)):  # what comes meanwhile has its turn later
+                envelope = ring.get(0.0)
+                if envelope is not None:
+                    self._hear(key, envelope)
+
+    def _hear(self, key: Key, envelope: Envelope) -> None:
+        path = keys.split(envelope.topic)[1]
+        message = decode(key.type, envelope.payload, path)
+        node = path.split("/")[1]
+        if isinstance(message, Undecodable):
+            self._leave_out(message)
+        elif isinstance(message, Log):
+            self._say(f"{message.name}: {message.message}")
+        elif isinstance(message, NodeHealth):
+            self._listener.heard(node, message.pid)
+            self._tell_state(node, message)
+        elif isinstance(message, Loss) and node == message.consumer == RECORDER:
+            self._listener.lose(message.count)
+
+    def _tell_state(self, node: str, message: NodeHealth) -> None:
+        before = self._texts.get(node, "")
+        # A sentence that counts seconds is the same sentence.
+        kind = "".join(char for char in message.text if not char.isdigit())
+        if kind == before:
+            return
+        if len(self._texts) >= STATES_KEPT:
+            self._texts.clear()
+        self._texts[node] = kind
+        self._say(f"{node}: {message.text or 'all is well again'}")
+
+    def _leave_out(self, message: Undecodable) -> None:
+        self.left_out += 1
+        now_s = self._now_s()
+        if now_s - self._told_s >= AGAIN_S:
+            self._told_s = now_s
+            self._say(f"{message}; left out, as are {self.left_out} so far")
+
+
+def _putter(ring: Ring[Envelope]) -> Callable[[Envelope], None]:
+    return lambda envelope: ring.put(envelope.topic, envelope)
