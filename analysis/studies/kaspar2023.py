@@ -1,10 +1,9 @@
 """The simulated ride of kaspar2023 through localisation filters: the figures of the work.
 
-A ride is simulated in memory, goes through the resampler, and each frame of it to a localisation
-filter of every model. What they say is held to the truth twenty times a second. The work does not
-say how the errors of its fixes hang together; so besides our reading (0.95 per second, theory.md
-section 3) there are rides with white errors of the same size. Beside its two wheels there are rides
-with one, and with wheels that slip and slide.
+A ride is simulated in memory, resampled, and each frame of it given to a filter of every model, held
+to the truth twenty times a second. The work does not say how the errors of its fixes hang together:
+besides our reading (0.95 per second, theory.md section 3) there are rides with white errors, and
+others with one wheel, and with wheels that slip and slide.
 """
 
 from __future__ import annotations
@@ -53,8 +52,7 @@ from tramstream.simulation.simulation import Simulation
 
 BUILT_IN = "built-in"
 WORK = "kaspar2023"
-EVERY = 5
-"""Judged frames: at 20 Hz no error changes between one and the next."""
+EVERY = 5  # judged frames: at 20 Hz no error changes between one and the next
 
 SMOOTHED = "tram smoothed"
 """The model `tram` with the whole ride known; judged where the heading is, at its 10 Hz."""
