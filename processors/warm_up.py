@@ -17,8 +17,8 @@ import numpy as np
 from tramstream import machine_code
 from tramstream.config import Ekf, Map, Vehicle
 from tramstream.estimation.localiser import OnTrack
+from tramstream.graph import Graph
 from tramstream.lines.line import Line, built_in_line
-from tramstream.processor import Processor
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.resampling.resampler import Resampler
@@ -40,15 +40,9 @@ def compile_all() -> None:
         path = Path(folder) / "one.tracks"
         _one_track(simulation.line).save(path)
         vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=str(path)))
-        processors: list[Processor] = [DistanceFilter(vehicle), LocalisationFilter(vehicle)]
-    resampler = Resampler(vehicle)
+        graph = Graph([Resampler(vehicle), DistanceFilter(vehicle), LocalisationFilter(vehicle)])
     for sent in simulation.samples():
-        if sent.key not in resampler.inputs:
-            continue
-        for made in resampler.step(sent):
-            for processor in processors:
-                if made.key in processor.inputs:
-                    processor.step(made)
+        graph.step(sent)
     ekf = TramFilter(parameters(Vehicle(vehicle="none", ekf=Ekf()), 9.81))
     ekf.rim(0, 0.0, 1.0)
     ekf.velocity((0.0, 0.0), 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tramstream import keys
+from tramstream.graph import Graph
 from tramstream.processor import Sample
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -13,12 +14,10 @@ from tramstream.simulation.simulation import Simulation
 
 def frames(simulation: Simulation, fixes: list[GnssFix]) -> Iterator[Sample]:
     """Frames of the ride; its fixes are appended on the way."""
-    resampler = Resampler(simulation.vehicle)
+    graph = Graph([Resampler(simulation.vehicle)])
     for sample in simulation.samples():
-        if sample.key not in resampler.inputs:
-            continue
         if sample.key is keys.GNSS_FIX:
             fixes.append(sample.message)
-        for released in resampler.step(sample):
+        for released in graph.step(sample):
             if released.key is keys.SYNC_FRAME:
                 yield released

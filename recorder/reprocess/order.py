@@ -23,6 +23,7 @@ from tramstream import boundary, keys
 from tramstream.boundary import Undecodable
 from tramstream.clock import S
 from tramstream.errors import RecordError
+from tramstream.graph import Graph
 from tramstream.keys import Key
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
@@ -70,7 +71,6 @@ class _Input:
     """Whether it moves a horizon on; what does not may be fed early."""
     lost: Spans
     """Publication times of what the live processors never got, or did not use."""
-    steps: list[Callable[[Sample], list[Sample]]]
     queue: deque[Entry] = field(default_factory=deque)
     read_to_ns: int = 0
     """Newest publication read from the record."""
@@ -113,21 +113,15 @@ class Reprocessor:
         self._take = take
         self._others = others
         self._expect: Expect | None = None
-        self._steps: dict[str, list[Callable[[Sample], list[Sample]]]] = {}
-        for processor in processors:
-            for key in processor.inputs:
-                self._steps.setdefault(key.path, []).append(processor.step)
-        self._outputs = {key.path for processor in processors for key in processor.outputs}
+        self._graph = Graph(processors)
+        self._compared = set(self._graph.outputs)
         pacing = {key.path for processor in processors for key in processor.pacing}
         self._inputs = {
-            key.path: _Input(
-                key, key.path in pacing, Spans(plan.skip.get(key.path, ())), self._steps[key.path]
-            )
-            for processor in processors
-            for key in processor.inputs
-            if key.path not in self._outputs and key is not keys.SYNC_TICK
+            path: _Input(key, path in pacing, Spans(plan.skip.get(path, ())))
+            for path, key in self._graph.inputs.items()
+            if key is not keys.SYNC_TICK
         }
-        self._topics: dict[str, _Input | Key | None] = {}
+        self._topics: dict[str, _Input | str | None] = {}
         self._starts = [session.publish_ns for session in plan.sessions]
         self._log_ns = 0
         self._session = 0
@@ -137,7 +131,7 @@ class Reprocessor:
     def compare(self, expect: Expect, others: Collection[str] = ()) -> None:
         """Hand recorded outputs of the repeated sessions to `expect`; of `others` (paths), too."""
         self._expect = expect
-        self._outputs = self._outputs.union(others)
+        self._compared.update(others)
 
     @property
     def shortfall(self) -> Shortfall:
@@ -154,9 +148,9 @@ class Reprocessor:
         """Whether messages of `topic` are read; `_topics` then knows what they are."""
         if topic not in self._topics:
             path = keys.split(topic)[1]
-            compared = self._expect is not None and path in self._outputs
+            compared = self._expect is not None and path in self._compared
             control = compared or path == keys.SYNC_TICK.path
-            self._topics[topic] = self._inputs.get(path) or (keys.find(path) if control else None)
+            self._topics[topic] = self._inputs.get(path) or (path if control else None)
         return self._topics[topic] is not None
 
     # With ticks ----------------------------------------------------------------------------------
@@ -168,14 +162,14 @@ class Reprocessor:
             known = topics[entry.topic]
             if isinstance(known, _Input):
                 known.put(entry)
-            elif known is keys.SYNC_TICK:
+            elif known == keys.SYNC_TICK.path:
                 tick = self._decoded(keys.SYNC_TICK, entry)
                 if tick is not None:
                     ticks.append((tick, entry))
                 while ticks and self._complete(*ticks[0], entry.log_ns):
                     self._feed_tick(*ticks.popleft())
             elif known is not None:
-                self._offer(known.path, entry)
+                self._offer(known, entry)
         for tick, entry in ticks:
             self._feed_tick(tick, entry)
         self._feed(_LOG_NS, dict.fromkeys(self._inputs, _FOREVER_NS))
@@ -219,10 +213,7 @@ class Reprocessor:
         for position in positions:
             self._count_missing(self._inputs[position.key], position)
         self._log_ns = max(self._log_ns, entry.log_ns)
-        self._dispatch(
-            Sample(keys.SYNC_TICK, tick, tick.stamp_ns, tick.sequence, entry.publish_ns),
-            self._steps.get(keys.SYNC_TICK.path, []),
-        )
+        self._dispatch(Sample(keys.SYNC_TICK, tick, tick.stamp_ns, tick.sequence, entry.publish_ns))
 
     def _drop_unread(self, source: _Input, position: Position) -> None:
         """Forget what this session never read, or had read before its snapshot."""
@@ -274,8 +265,7 @@ class Reprocessor:
         self._feed(_LOG_NS, limits)
         self._log_ns = max(self._log_ns, log_ns)
         tick = Tick(stamp_ns=log_ns, sequence=sequence)
-        sample = Sample(keys.SYNC_TICK, tick, log_ns, sequence)
-        self._dispatch(sample, self._steps.get(keys.SYNC_TICK.path, []))
+        self._dispatch(Sample(keys.SYNC_TICK, tick, log_ns, sequence))
 
     # Stepping ------------------------------------------------------------------------------------
     def _feed(self, time_of: Callable[[Entry], int], limits: Mapping[str, int]) -> None:
@@ -299,7 +289,7 @@ class Reprocessor:
                 known.fed += 1
                 self._log_ns = max(self._log_ns, entry.log_ns)
                 sample = Sample(key, message, message.stamp_ns, message.sequence, entry.publish_ns)
-                self._dispatch(sample, known.steps)
+                self._dispatch(sample)
 
     def _decoded(self, key: Key, entry: Entry) -> Any:
         """The message of `entry`; None if it is none: the live processors left it out as well."""
@@ -309,19 +299,15 @@ class Reprocessor:
             return None
         return message
 
-    def _dispatch(self, sample: Sample, steps: list[Callable[[Sample], list[Sample]]]) -> None:
-        """Step a sample through everybody who wants it, and what follows likewise."""
-        outputs: list[Output] = []
-        work = [(sample, steps)]
-        for current, wanting in work:  # grows meanwhile
-            for step in wanting:
-                for result in step(current):
-                    outputs.append((result, result.message.SerializeToString()))
-                    following = self._steps.get(result.key.path)
-                    if following:
-                        work.append((result, following))
-        if outputs:
-            self._take(self._session, self._log_ns, outputs)
+    def _dispatch(self, sample: Sample) -> None:
+        made = self._graph.step(sample)
+        if made:
+            self._take(self._session, self._log_ns, encoded(made))
+
+
+def encoded(made: list[Sample]) -> list[Output]:
+    """What processors made, each with its bytes."""
+    return [(each, each.message.SerializeToString()) for each in made]
 
 
 def restore(snapshot: Snapshot, processors: list[Processor], others: Collection[str]) -> None:

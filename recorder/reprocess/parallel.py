@@ -22,18 +22,18 @@ import fcntl
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkProcess
 from traceback import format_exc
 from typing import Any, NamedTuple
 
-from tramstream import keys
 from tramstream.errors import RecordError
+from tramstream.graph import Graph
 from tramstream.keys import Key
 from tramstream.processor import Processor, Sample, Smoothing
 from tramstream.recorder.reader import Record
@@ -43,6 +43,7 @@ from tramstream.recorder.reprocess.order import (
     Reprocessor,
     Shortfall,
     Take,
+    encoded,
     restore,
 )
 from tramstream.recorder.reprocess.plan import Plan
@@ -58,9 +59,9 @@ JOIN_S = 10.0
 KILLED = "the process that {} was killed; is there enough memory?"
 READING, FOLLOWING = "read the record", "ran the filter"
 
-_Encoded = tuple[str, bytes, int, int]
+_Parcel = tuple[str, bytes, int, int]
 """Of an output: key path, encoded message, stamp, sequence."""
-_Group = tuple[int, int, list[_Encoded]]
+_Group = tuple[int, int, list[_Parcel]]
 """Session, log time, outputs."""
 _Expected = tuple[int, str, int, bytes]
 
@@ -119,26 +120,14 @@ class Followers:
         self._processors, self._others = processors, others
         self._plan = plan
         self._session = -1
-        self._steps: dict[str, list[Callable[[Sample], list[Sample]]]] = {}
-        for processor in processors:
-            for key in processor.inputs:
-                self._steps.setdefault(key.path, []).append(processor.step)
-
-    def wants(self, path: str) -> bool:
-        return path in self._steps
+        self.graph = Graph(processors)
 
     def step(self, session: int, samples: list[Sample]) -> list[Output]:
         """Give what follows from `samples`, which followed from one input."""
         if session != self._session and self._plan.anchored:
             restore(self._plan.sessions[session].snapshot, self._processors, self._others)
         self._session = session
-        following: list[Output] = []
-        for sample in samples:  # grows meanwhile
-            for step in self._steps.get(sample.key.path, ()):
-                for result in step(sample):
-                    following.append((result, result.message.SerializeToString()))
-                    samples.append(result)
-        return following
+        return encoded(self.graph.follow(samples))
 
 
 def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers) -> Shortfall:
@@ -155,12 +144,14 @@ def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers)
     # A worker of a pool may have no children.
     apart = len(os.sched_getaffinity(0)) > 1 and not multiprocessing.current_process().daemon
     if behind and apart and not any(isinstance(each, Smoothing) for each in first):
-        sender = _Sender(followers.wants)
+        sender = _Sender(followers.graph.reads)
         run = Reprocessor(record, first, plan, sender.take, names[1])
         if takers.expect is not None:
             run.compare(sender.expect, _paths(behind))
         smoothers = behind if takers.smoothed is not None else []
-        return _run_apart(run, sender, partial(_follow, followers, smoothers), takers)
+        unpack = _Unpack(Graph(processors).outputs)
+        follow = partial(_follow, followers, smoothers, unpack)
+        return _run_apart(run, sender, follow, _Writing(takers, unpack))
 
     def take(session: int, log_ns: int, outputs: list[Output]) -> None:
         takers.take(session, log_ns, outputs)
@@ -197,7 +188,7 @@ class _Sender:
         self._expected: list[_Expected] = []
 
     def take(self, session: int, log_ns: int, outputs: list[Output]) -> None:
-        self._groups.append((session, log_ns, _encoded(outputs)))
+        self._groups.append((session, log_ns, _parcels(outputs)))
         if len(self._groups) >= GATHERED:
             self._flush()
 
@@ -232,19 +223,23 @@ class _Sender:
 
 # Following ---------------------------------------------------------------------------------------
 def _follow(
-    followers: Followers, smoothers: list[Processor], source: Connection, sink: Connection
+    followers: Followers,
+    smoothers: list[Processor],
+    unpack: _Unpack,
+    source: Connection,
+    sink: Connection,
 ) -> None:
     """Answer each batch of groups with one of what follows; at the end, send what smoothers say."""
     try:
         while (groups := _receive(source, READING)) is not None:
             sink.send(
                 [
-                    _encoded(followers.step(session, [_sample(*each) for each in made]))
+                    _parcels(followers.step(session, [unpack.sample(*each) for each in made]))
                     for session, made in groups
                 ]
             )
         said = _smoothed(smoothers)
-        while states := _encoded(islice(said, GATHERED)):
+        while states := _parcels(islice(said, GATHERED)):
             sink.send(states)
         sink.send(None)
     except BrokenPipeError:
@@ -259,7 +254,7 @@ def _run_apart(
     run: Reprocessor,
     sender: _Sender,
     follow: Callable[[Connection, Connection], None],
-    takers: Takers,
+    writing: _Writing,
 ) -> Shortfall:
     """Start the other processes and write what they send."""
     made, wanted = sender.writing, sender.following
@@ -273,7 +268,7 @@ def _run_apart(
     wanted.source.close()
     answers.sink.close()
     try:
-        return _write(made.source, answers.source, takers)
+        return writing.write(made.source, answers.source)
     finally:
         made.source.close()
         answers.source.close()
@@ -281,28 +276,35 @@ def _run_apart(
             process.join(JOIN_S)
 
 
-def _write(made: Connection, answers: Connection, takers: Takers) -> Shortfall:
-    take = takers.take
-    while True:
-        received = _receive(made, READING)
-        if isinstance(received, Shortfall):
-            break
-        groups, expected = received
-        for (session, log_ns, encoded), following in zip(
-            groups, _receive(answers, FOLLOWING), strict=True
-        ):
-            take(session, log_ns, [_output(*each) for each in encoded])
-            if following:
-                take(session, log_ns, [_output(*each) for each in following])
-        if takers.expect is not None:
-            for each in expected:
-                takers.expect(*each)
-    while (states := _receive(answers, FOLLOWING)) is not None:
-        assert takers.smoothed is not None
-        for each in states:
-            output = _output(*each)
-            takers.smoothed(0, output[0].stamp_ns, [output])
-    return received
+class _Writing:
+    """Hands what the other processes send to the takers."""
+
+    def __init__(self, takers: Takers, unpack: _Unpack) -> None:
+        self._takers, self._output = takers, unpack.output
+
+    def write(self, made: Connection, answers: Connection) -> Shortfall:
+        """Take groups and their answers in turn until both have ended."""
+        takers, output = self._takers, self._output
+        while True:
+            received = _receive(made, READING)
+            if isinstance(received, Shortfall):
+                break
+            groups, expected = received
+            for (session, log_ns, parcels), following in zip(
+                groups, _receive(answers, FOLLOWING), strict=True
+            ):
+                takers.take(session, log_ns, [output(*each) for each in parcels])
+                if following:
+                    takers.take(session, log_ns, [output(*each) for each in following])
+            if takers.expect is not None:
+                for each in expected:
+                    takers.expect(*each)
+        while (states := _receive(answers, FOLLOWING)) is not None:
+            assert takers.smoothed is not None
+            for each in states:
+                said = output(*each)
+                takers.smoothed(0, said[0].stamp_ns, [said])
+        return received
 
 
 # Processes and pipes -----------------------------------------------------------------------------
@@ -345,22 +347,20 @@ def _receive(source: Connection, doing: str) -> Any:
     return received
 
 
-def _encoded(outputs: Iterable[Output]) -> list[_Encoded]:
+def _parcels(outputs: Iterable[Output]) -> list[_Parcel]:
     return [(each.key.path, payload, each.stamp_ns, each.sequence) for each, payload in outputs]
 
 
-def _output(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
-    """An output for whoever does not look at its message."""
-    return Sample(_key(path), None, stamp_ns, sequence), payload
+class _Unpack:
+    """Outputs out of parcels, by the keys of the processors that made them."""
 
+    def __init__(self, known: Mapping[str, Key]) -> None:
+        self._keys = known
 
-def _sample(path: str, payload: bytes, stamp_ns: int, sequence: int) -> Sample:
-    key = _key(path)
-    return Sample(key, key.type.FromString(payload), stamp_ns, sequence)
+    def output(self, path: str, payload: bytes, stamp_ns: int, sequence: int) -> Output:
+        """An output for whoever does not look at its message."""
+        return Sample(self._keys[path], None, stamp_ns, sequence), payload
 
-
-@cache
-def _key(path: str) -> Key:
-    key = keys.find(path)
-    assert key is not None
-    return key
+    def sample(self, path: str, payload: bytes, stamp_ns: int, sequence: int) -> Sample:
+        key = self._keys[path]
+        return Sample(key, key.type.FromString(payload), stamp_ns, sequence)

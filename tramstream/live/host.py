@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median_low
@@ -19,6 +18,7 @@ from typing import Any
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
 from tramstream.clock import S
+from tramstream.graph import Graph
 from tramstream.keys import Key
 from tramstream.live import snapshots
 from tramstream.live.node import Node
@@ -69,15 +69,12 @@ class ProcessorNode(Node):
         super().__init__(name, vehicle, bus, stop)
         self.processors = list(processors)
         self.readers = [PortReader(port, self._from_port(port), stop) for port in ports]
-        self._consumers: dict[str, list[Processor]] = {}
-        for processor in processors:
-            for key in processor.inputs:
-                self._consumers.setdefault(key.path, []).append(processor)
+        self.graph = Graph(processors, self.fault)
         self._by_topic: dict[str, Key] = {}
         self._positions: dict[str, Position] = {}
         self._raw: dict[str, list[Any]] = {}
         self._lead = _Lead()
-        self._ticks = keys.SYNC_TICK.path in self._consumers
+        self._ticks = self.graph.reads(keys.SYNC_TICK.path)
         self._tick_sequence = 0
         self._tick_ns = 0
         self._received = 0
@@ -88,15 +85,13 @@ class ProcessorNode(Node):
 
     # Setting up ----------------------------------------------------------------------------------
     def expressions(self) -> list[str]:
-        made_here = {key.path for processor in self.processors for key in processor.outputs}
-        made_here |= {reader.port.key.path for reader in self.readers} | {keys.SYNC_TICK.path}
-        return sorted(path for path in self._consumers if path not in made_here)
+        made_here = {reader.port.key.path for reader in self.readers} | {keys.SYNC_TICK.path}
+        return sorted(path for path in self.graph.inputs if path not in made_here)
 
     def begin(self) -> None:
         for path in self.expressions():
-            key = keys.find(path)
-            if key is not None:
-                self._by_topic[key.on(self.vehicle)] = key
+            key = self.graph.inputs[path]
+            self._by_topic[key.on(self.vehicle)] = key
         if self._ticks:
             self._restore()
             self._take_snapshot(start=True)
@@ -175,19 +170,9 @@ class ProcessorNode(Node):
         self.dispatch(Sample(key, message, message.stamp_ns, message.sequence))
 
     def dispatch(self, sample: Sample) -> None:
-        """Step a sample through everybody who wants it, and what follows likewise."""
-        work = deque([sample])
-        while work:
-            current = work.popleft()
-            for processor in self._consumers.get(current.key.path, ()):
-                try:
-                    results = processor.step(current)
-                except Exception as error:  # noqa: BLE001  a bug in one stage: told, counted
-                    self.fault(error)
-                    continue
-                for result in results:
-                    self.send(result)
-                    work.append(result)
+        """Step a sample through the processors and publish all that follows."""
+        for made in self.graph.step(sample):
+            self.send(made)
 
     def _note(self, sample: Sample, arrival_ns: int) -> None:
         """Remember how far this key has been read, and what it says about event time."""
@@ -271,7 +256,7 @@ class ProcessorNode(Node):
                 bytes_received=reader.bytes_received,
                 silence_s=reader.silence_s,
             )
-            for processor in self._consumers.get(reader.port.key.path, ()):
+            for processor in self.graph.readers(reader.port.key.path):
                 counters: dict[str, Any] = getattr(processor, "device_counters", dict)()
                 for name, value in counters.items():
                     if name == "rejected_by_reason":
