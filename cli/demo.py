@@ -38,7 +38,7 @@ def demo(
 
     from tramstream.cli.terminal.demo_vehicle import configuration
     from tramstream.cli.terminal.session import say, stop_on_signals
-    from tramstream.config import load
+    from tramstream.config_file import load
     from tramstream.errors import ConfigError, DamagedRecordError
     from tramstream.supervision import vehicle as fleet
     from tramstream.supervision.supervisor import Plan

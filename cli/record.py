@@ -28,7 +28,8 @@ def record(
     import msgspec
 
     from tramstream.cli.terminal.session import client, say, stop_on_signals, vehicle_on
-    from tramstream.config import RECORD_ENTRY, Recorder, load, to_json
+    from tramstream.config import Recorder
+    from tramstream.config_file import RECORD_ENTRY, load, to_json
     from tramstream.recorder.node import RecorderNode
 
     loaded = load(config) if config is not None else None

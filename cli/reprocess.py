@@ -69,6 +69,11 @@ def reprocess(
             f"$.map.network: {result.without_map}; localisation went on without the map "
             "(--config takes a configuration that names the file where it is now)"
         )
+    if result.forgotten:
+        say(
+            f"{file}: the record's memory was made with other settings, so the processors begin "
+            f"afresh with the new ones ({result.forgotten} of {result.sessions} sessions)"
+        )
     if left_out_ := left_out(result.undecodable.items()):
         say(f"{file}: {left_out_}, as live")
     for path, count in result.missing.items():
@@ -88,6 +93,7 @@ def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
         "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
         "inputs_missing": result.missing,
         "undecodable": result.undecodable,
+        "sessions_afresh": result.forgotten,
     }
     comparison = result.comparison
     if comparison is not None:

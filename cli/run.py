@@ -27,18 +27,22 @@ def run(
     import os
     import sys
 
+    from msgspec.structs import replace
+
     from tramstream.cli.terminal.session import say, stop_on_signals
-    from tramstream.config import load
+    from tramstream.config_file import load
     from tramstream.errors import DamagedRecordError
     from tramstream.supervision import vehicle as fleet
     from tramstream.supervision.roster import REST
     from tramstream.supervision.supervisor import Plan
 
     vehicle = load(config)
+    if separate:
+        vehicle = replace(vehicle, separate=vehicle.processors)
     # -P: what lies in the folder where somebody stood is no part of the program.
     command = [sys.executable, "-P", "-m", "tramstream.cli.main", "run", str(config.absolute())]
     options = [*(["--separate"] if separate else []), "--duration-s", REST]
-    plan = Plan(vehicle, config, separate, successor=(*command, *options))
+    plan = Plan(vehicle, config, successor=(*command, *options))
     stop = stop_on_signals()
     with fleet.running(plan, say) as run_:
         names = ", ".join(child.name for child in run_.children)

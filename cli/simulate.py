@@ -95,13 +95,13 @@ def _write(
     """Write the record until the end or a signal; a record that was cut short is whole."""
     import time
 
-    from tramstream import config
+    from tramstream import config_file
     from tramstream.clock import S
     from tramstream.recorder.file.writer import RecordFile
     from tramstream.simulation.simulation import EPOCH_NS
 
     vehicle = ride.vehicle.vehicle
-    metadata = {config.RECORD_ENTRY: config.to_json(ride.vehicle)}
+    metadata = {config_file.RECORD_ENTRY: config_file.to_json(ride.vehicle)}
     metadata |= {f"simulation.{name}": value for name, value in labels.items()}
     messages: dict[str, int] = {}
     topics: dict[str, str] = {}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from tramstream import config, keys
+from tramstream import config_file, keys
 from tramstream.boundary import Undecodable, decode
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
@@ -345,5 +345,5 @@ class RecorderNode(Node):
 
 def build(vehicle: Vehicle, bus: Bus, stop: threading.Event) -> RecorderNode:
     """Make the node of a vehicle; the entry point of `tramstream.nodes`."""
-    metadata = {config.RECORD_ENTRY: config.to_json(vehicle)}
+    metadata = {config_file.RECORD_ENTRY: config_file.to_json(vehicle)}
     return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata, goes_on=True)

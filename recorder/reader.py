@@ -15,11 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message import DecodeError, Message
-from google.protobuf.message_factory import GetMessageClass
-from mcap.records import Schema
+from google.protobuf.message import Message
 
 from tramstream import boundary, keys
 from tramstream.boundary import Undecodable
@@ -212,7 +208,7 @@ class Record:
         for file in self.files:
             for schema in file.schemas.values():
                 if schema.name == name and schema.encoding == "protobuf":
-                    return _dynamic(schema)
+                    return boundary.described(schema.data, name)
         return "of no type that the record describes with protobuf"
 
 
@@ -293,25 +289,3 @@ def _check_vehicle(record: Record) -> None:
         raise RecordError(
             f"{second}: is a record of vehicle {other}, {first} one of {one}; name the files of one"
         )
-
-
-def _dynamic(schema: Schema) -> type[Message] | str:
-    """The message class that a schema describes, or why it describes none."""
-    try:
-        files = {file.name: file for file in FileDescriptorSet.FromString(schema.data).file}
-        pool = DescriptorPool()
-
-        def add(name: str) -> None:
-            file = files.pop(name, None)
-            if file is not None:
-                for dependency in file.dependency:
-                    add(dependency)
-                pool.Add(file)
-
-        for name in list(files):
-            add(name)
-        class_: type[Message] = GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    except (DecodeError, KeyError, TypeError, ValueError, RecursionError):
-        # What protobuf raises for a description that is garbage, or lacks the type or its parts.
-        return f"of a type whose description ({schema.name or 'without a name'}) is damaged"
-    return class_

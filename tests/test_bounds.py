@@ -18,7 +18,7 @@ from tramstream.tracks import check, network
 MORE_MB = 200
 IMPORTS = """
 from pathlib import Path
-from tramstream import config
+from tramstream import config_file
 from tramstream.analysis.tables import mapping
 from tramstream.lines import geojson, traces
 from tramstream.live import snapshots
@@ -140,9 +140,9 @@ def test_array_of_a_snapshot_that_claims_more_than_it_has_is_refused(tmp_path: P
 
 # Text ---------------------------------------------------------------------------------------------
 TEXTS = {
-    "deep TOML": ("config.load(path)", b'vehicle = "x"\nx = ' + b"[" * 100_000),
-    "deep TOML tables": ("config.load(path)", b"[" + b"a." * 100_000 + b"a]\n"),
-    "TOML of many digits": ("config.load(path)", b"x = " + b"9" * 100_000),
+    "deep TOML": ("config_file.load(path)", b'vehicle = "x"\nx = ' + b"[" * 100_000),
+    "deep TOML tables": ("config_file.load(path)", b"[" + b"a." * 100_000 + b"a]\n"),
+    "TOML of many digits": ("config_file.load(path)", b"x = " + b"9" * 100_000),
     "deep mapping": ("mapping.load(path)", b"x = " + b"{a=" * 100_000),
     "deep lines": ("line_requests.read(path)", b"[" * 1_000_000),
     "deep trace": ("traces.read(path)", b"[" * 1_000_000),
@@ -157,15 +157,15 @@ TEXTS = {
         b'{"elements": [{"type": "node", "id": 1' + b"0" * 400 + b', "lat": 1, "lon": 1}]}',
     ),
     "silence": (
-        "config.load(path)",
+        "config_file.load(path)",
         b'vehicle = "x"\n[odometer]\nchannel = "c"\ndbc = "d"\nsilence_s = 1e308\nwheels = {}\n',
     ),
-    "factor": ("config.load(path)", b'vehicle = "x"\n[resampler]\nfactor = 1000000000\n'),
+    "factor": ("config_file.load(path)", b'vehicle = "x"\n[resampler]\nfactor = 1000000000\n'),
     "bridged": (
-        "config.load(path)",
+        "config_file.load(path)",
         b'vehicle = "x"\n[resampler]\nmax_bridge_samples = 1000000000\n',
     ),
-    "lag": ("config.load(path)", b'vehicle = "x"\n[resampler]\nhorizon_lag_s = 1e9\n'),
+    "lag": ("config_file.load(path)", b'vehicle = "x"\n[resampler]\nhorizon_lag_s = 1e9\n'),
 }
 
 
@@ -180,7 +180,7 @@ def test_text_that_nests_or_counts_beyond_sense_is_refused(tmp_path: Path, name:
 @pytest.mark.parametrize(
     "work",
     [
-        "config.load(path)",
+        "config_file.load(path)",
         "mapping.load(path)",
         "line_requests.read(path)",
         "traces.read(path)",

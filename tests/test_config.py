@@ -8,7 +8,8 @@ import msgspec
 import pytest
 
 from tramstream import config
-from tramstream.config import Vehicle, default_runtime_dir, load, parse
+from tramstream.config import Vehicle, default_runtime_dir
+from tramstream.config_file import load, parse
 from tramstream.errors import ConfigError
 
 FULL = """

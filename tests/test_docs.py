@@ -47,7 +47,7 @@ def test_ci_runs_the_readmes_own_test_command() -> None:
 
 
 def test_example_configurations_load() -> None:
-    from tramstream.config import load
+    from tramstream.config_file import load
 
     for path in (REPOSITORY / "docs").glob("*.toml"):
         assert load(path).vehicle == tomllib.loads(path.read_text())["vehicle"]

@@ -10,7 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from google.protobuf.message import DecodeError
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.message_factory import GetMessageClass
 
 LATEST_NS = (1 << 63) - 1
 """Year 2262; numpy and databases hold no later instant, and no clock of ours shows one."""
@@ -61,6 +64,45 @@ def _timestamp_is_one(message: Any) -> bool:
         return True
     seconds = getattr(message.timestamp, "seconds", 0)
     return bool(abs(seconds) < LATEST_S)
+
+
+def described(data: bytes, name: str) -> type[Message] | str:
+    """The class of the messages called `name` that a FileDescriptorSet describes, or why not.
+
+    Parameters
+    ----------
+    data : bytes
+        Encoded FileDescriptorSet, a stranger's perhaps.
+    name : str
+        Full name of the message type.
+    """
+    try:
+        files = {file.name: file for file in FileDescriptorSet.FromString(data).file}
+        pool = DescriptorPool()
+
+        def add(file_name: str) -> None:
+            file = files.pop(file_name, None)
+            if file is not None:
+                for dependency in file.dependency:
+                    add(dependency)
+                pool.Add(file)
+
+        for file_name in list(files):
+            add(file_name)
+        class_: type[Message] = GetMessageClass(pool.FindMessageTypeByName(name))
+    except (DecodeError, KeyError, TypeError, ValueError, RecursionError):
+        # What protobuf raises for a description that is garbage, or lacks the type or its parts.
+        return f"of a type whose description ({name or 'without a name'}) is damaged"
+    return class_
+
+
+PROTOBUF = "application/protobuf;"
+"""Beginning of the encoding that is declared on every put; the type's full name follows."""
+
+
+def type_name(encoding: str) -> str:
+    """Full name of the message type that an encoding declares; empty if it is not protobuf."""
+    return encoding.removeprefix(PROTOBUF) if encoding.startswith(PROTOBUF) else ""
 
 
 def name_of(enum: Any, number: int) -> str:

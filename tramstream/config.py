@@ -5,18 +5,12 @@ Defaults live here, each with its source. Units stand in field names and are SI 
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-import msgspec.inspect
 from msgspec import Meta
-
-from tramstream.errors import ConfigError
-from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
-from tramstream.strict_toml import decode_toml
 
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold
@@ -251,10 +245,18 @@ class Simulator(Struct, frozen=True, kw_only=True):
     loop: bool = False
 
 
+Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+
+
 class Vehicle(Struct, frozen=True, kw_only=True):
     """Everything about one vehicle."""
 
     vehicle: VehicleId
+    processors: tuple[Name, ...] = ("resampler", "ekf", "distance")
+    """Which processors run, by the names under which they are registered. What is installed and
+    not named here does not run."""
+    separate: tuple[Name, ...] = ()
+    """Processors that get a process of their own; all others share one."""
     bus: Bus = Bus()
     gnss: Gnss | None = None
     imu: Imu | None = None
@@ -266,6 +268,9 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     map: Map | None = None
     recorder: Recorder = Recorder()
     simulators: dict[str, Simulator] = {}
+    sections: dict[str, dict[str, Any]] = {}
+    """Settings of processors and bridges of other packages, by name. In the file each is a section
+    of that name; the loader checks it against the `Settings` of its class."""
 
     @property
     def runtime_dir(self) -> Path:
@@ -281,82 +286,3 @@ def default_runtime_dir() -> Path:
         return Path("/run/tramstream")
     user = os.environ.get("XDG_RUNTIME_DIR")
     return Path(user) / "tramstream" if user else Path(f"/tmp/tramstream-{os.geteuid()}")
-
-
-RECORD_ENTRY = "config"
-"""Entry of a record's metadata that holds `to_json`."""
-
-
-def load(path: Path) -> Vehicle:
-    """Read a vehicle configuration; relative paths in it are relative to the file.
-
-    Raises
-    ------
-    ConfigError
-        One sentence with the file, the path of the field and what was expected.
-    """
-    try:
-        data = read_limited(path, TEXT_LIMIT_BYTES)
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot read the configuration ({error.strerror}); "
-            "`tramstream init` writes one"
-        ) from error
-    return parse(data, str(path), path.parent)
-
-
-def parse(data: bytes, name: str, folder: Path) -> Vehicle:
-    """Decode configuration text; see `load`."""
-    return _resolve(decode_toml(data, Vehicle, name), folder)
-
-
-def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
-    """Make file paths absolute; device names and channels stay what they are."""
-
-    def absolute(path: str) -> str:
-        return str((folder / path).absolute()) if path else path
-
-    changes: dict[str, Any] = {
-        "recorder": msgspec.structs.replace(
-            vehicle.recorder, directory=absolute(vehicle.recorder.directory)
-        ),
-        "simulators": {
-            name: msgspec.structs.replace(
-                simulator, file=absolute(simulator.file), link=absolute(simulator.link)
-            )
-            for name, simulator in vehicle.simulators.items()
-        },
-        "bus": msgspec.structs.replace(vehicle.bus, runtime_dir=absolute(vehicle.bus.runtime_dir)),
-    }
-    if vehicle.odometer is not None:
-        changes["odometer"] = msgspec.structs.replace(
-            vehicle.odometer,
-            dbc=absolute(vehicle.odometer.dbc),
-            channel=_device(vehicle.odometer.channel, folder),
-        )
-    if vehicle.map is not None:
-        changes["map"] = msgspec.structs.replace(vehicle.map, network=absolute(vehicle.map.network))
-    if vehicle.gnss is not None:
-        changes["gnss"] = msgspec.structs.replace(
-            vehicle.gnss, device=_device(vehicle.gnss.device, folder)
-        )
-    if vehicle.imu is not None:
-        changes["imu"] = msgspec.structs.replace(
-            vehicle.imu, device=_device(vehicle.imu.device, folder)
-        )
-    return msgspec.structs.replace(vehicle, **changes)
-
-
-def _device(name: str, folder: Path) -> str:
-    """A path with a slash in it is relative to the configuration; `can0` is an interface."""
-    return str((folder / name).absolute()) if "/" in name and "://" not in name else name
-
-
-def to_json(vehicle: Vehicle) -> str:
-    """A configuration as it goes into a record's metadata; `msgspec.json` reads it back."""
-    return msgspec.json.encode(vehicle).decode()
-
-
-def digest(vehicle: Vehicle) -> str:
-    """Short name of a configuration: equal for equal ones."""
-    return hashlib.sha256(to_json(vehicle).encode()).hexdigest()[:16]

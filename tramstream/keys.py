@@ -8,6 +8,7 @@ stamp marks is the key's `instant`.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -57,105 +58,141 @@ class Key:
         return replace(self, source=source)
 
 
-def _key(path: str, type_: Any, rate_hz: float, instant: str, doc: str) -> Key:
-    layer, source, quantity = path.split("/")
+def define(
+    path: str, type_: Any, rate_hz: float = 0.0, instant: str = "", doc: str = ""
+) -> Key:
+    """Make a key; whoever writes a processor makes its own so, beside the processor.
+
+    Parameters
+    ----------
+    path : str
+        `layer/source/quantity`, without the vehicle.
+    type_ : message class
+        A protobuf message with `stamp_ns` and `sequence`, or one of Foxglove's with `timestamp`.
+    rate_hz : float
+        Messages a second; 0 where they come as they come.
+    instant : str
+        What the stamp marks.
+    doc : str
+        A few words for `list` and `top`.
+
+    Raises
+    ------
+    ValueError
+        If the path or the type is none; the sentence says what is missing.
+    """
+    parts = path.split("/")
+    if len(parts) != 3 or not all(_PART.fullmatch(part) for part in parts):
+        raise ValueError(
+            f"key {path!r}: must be layer/source/quantity of letters, digits, '_', '-' and '.'"
+        )
+    fields = type_.DESCRIPTOR.fields_by_name
+    if not ({"stamp_ns", "sequence"} <= set(fields) or "timestamp" in fields):
+        raise ValueError(
+            f"key {path!r}: {type_.DESCRIPTOR.full_name} has no stamp; give it `int64 stamp_ns` "
+            "and `uint64 sequence`, or take a Foxglove type, which has `timestamp`"
+        )
+    layer, source, quantity = parts
     return Key(layer, source, quantity, type_, rate_hz, instant, doc)
 
 
+_PART = re.compile(r"\*|[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+
+
 # raw: what devices said -----------------------------------------------------------------------
-GNSS_BYTES = _key("raw/gnss/bytes", raw_pb2.RawBytes, 5, "arrival", "Receiver's bytes as read")
-GNSS_FIX = _key("raw/gnss/fix", gnss_pb2.GnssFix, 5, "epoch", "Position, velocity, time")
-GNSS_LOCATION = _key("raw/gnss/location", LocationFix, 5, "epoch", "The same fix for any viewer")
-GNSS_COVARIANCE = _key(
+GNSS_BYTES = define("raw/gnss/bytes", raw_pb2.RawBytes, 5, "arrival", "Receiver's bytes as read")
+GNSS_FIX = define("raw/gnss/fix", gnss_pb2.GnssFix, 5, "epoch", "Position, velocity, time")
+GNSS_LOCATION = define("raw/gnss/location", LocationFix, 5, "epoch", "The same fix for any viewer")
+GNSS_COVARIANCE = define(
     "raw/gnss/covariance", gnss_pb2.GnssCovariance, 5, "epoch", "Covariance of the fix, NED"
 )
-GNSS_POSITION = _key(
+GNSS_POSITION = define(
     "raw/gnss/position", gnss_pb2.GnssPosition, 5, "epoch", "Position alone, high precision"
 )
-GNSS_ATTITUDE = _key(
+GNSS_ATTITUDE = define(
     "raw/gnss/attitude", gnss_pb2.GnssAttitude, 5, "epoch", "Receiver's own attitude"
 )
-GNSS_TIME = _key("raw/gnss/time", gnss_pb2.GnssTime, 1, "epoch", "GPS time and leap seconds")
-GNSS_PULSE = _key("raw/gnss/pulse", gnss_pb2.TimePulse, 1, "arrival", "Time of the next pulse")
-GNSS_SATELLITES = _key(
+GNSS_TIME = define("raw/gnss/time", gnss_pb2.GnssTime, 1, "epoch", "GPS time and leap seconds")
+GNSS_PULSE = define("raw/gnss/pulse", gnss_pb2.TimePulse, 1, "arrival", "Time of the next pulse")
+GNSS_SATELLITES = define(
     "raw/gnss/satellites", gnss_pb2.GnssSatellites, 1, "epoch", "Satellites in view (NAV-SAT)"
 )
-GNSS_SIGNALS = _key(
+GNSS_SIGNALS = define(
     "raw/gnss/signals", gnss_pb2.GnssSatellites, 1, "epoch", "Signals in view (NAV-SIG)"
 )
-GNSS_MEASUREMENTS = _key(
+GNSS_MEASUREMENTS = define(
     "raw/gnss/measurements", gnss_pb2.GnssMeasurements, 1, "epoch", "Pseudorange, carrier, Doppler"
 )
-GNSS_SUBFRAME = _key("raw/gnss/subframe", gnss_pb2.GnssSubframe, 10, "arrival", "Navigation data")
-GNSS_ESF_MEASUREMENTS = _key(
+GNSS_SUBFRAME = define("raw/gnss/subframe", gnss_pb2.GnssSubframe, 10, "arrival", "Navigation data")
+GNSS_ESF_MEASUREMENTS = define(
     "raw/gnss/esf_measurements", gnss_pb2.EsfMeasurements, 10, "arrival", "Receiver's sensors"
 )
-GNSS_ESF_STATUS = _key(
+GNSS_ESF_STATUS = define(
     "raw/gnss/esf_status", gnss_pb2.EsfStatus, 1, "epoch", "State of the receiver's fusion"
 )
-GNSS_ESF_INERTIAL = _key(
+GNSS_ESF_INERTIAL = define(
     "raw/gnss/esf_inertial", gnss_pb2.EsfInertial, 10, "epoch", "Receiver's vehicle dynamics"
 )
-GNSS_ESF_ALIGNMENT = _key(
+GNSS_ESF_ALIGNMENT = define(
     "raw/gnss/esf_alignment", gnss_pb2.EsfAlignment, 1, "epoch", "Receiver's own mounting angles"
 )
-GNSS_FRAME = _key("raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole")
-IMU_BYTES = _key("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes as read")
-IMU_BATCH = _key("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
-ODO_FRAMES = _key("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
-ODO_WHEELS = _key("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
-TRUTH_STATE = _key(
+GNSS_FRAME = define("raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole")
+IMU_BYTES = define("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes as read")
+IMU_BATCH = define("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
+ODO_FRAMES = define("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
+ODO_WHEELS = define("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
+TRUTH_STATE = define(
     "raw/truth/state", raw_pb2.TruthState, 10, "state", "The truth, where it is known"
 )
 
 # sync: the ordered stream ------------------------------------------------------------------------
-SYNC_IMU = _key(
+SYNC_IMU = define(
     "sync/imu/mean", sync_pb2.ImuMean, 100, "window centre", "100 Hz inertial mean, now"
 )
-SYNC_FRAME = _key("sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps")
-SYNC_GAP = _key("sync/imu/gap", sync_pb2.SyncGap, 0, "gap's start", "Inertial samples missing")
-SYNC_LATE = _key(
+SYNC_FRAME = define("sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps")
+SYNC_GAP = define("sync/imu/gap", sync_pb2.SyncGap, 0, "gap's start", "Inertial samples missing")
+SYNC_LATE = define(
     "sync/fusion/late", sync_pb2.LateSample, 0, "late sample", "Came after the horizon"
 )
-SYNC_TICK = _key("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read")
-SYNC_SNAPSHOT = _key("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
+SYNC_TICK = define("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read")
+SYNC_SNAPSHOT = define("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
 
 # est: what filters say ------------------------------------------------------------------------
-EST_DISTANCE = _key(
+EST_DISTANCE = define(
     "est/distance/state", estimate_pb2.DistanceState, 50, "state", "Travelled distance and speed"
 )
-EST_STATE = _key(
+EST_STATE = define(
     "est/ekf/state", estimate_pb2.MotionState, 100, "horizon", "Localisation filter, all data in"
 )
-EST_NOW = _key(
+EST_NOW = define(
     "est/ekf/now", estimate_pb2.MotionState, 100, "newest mean", "The same, predicted to now"
 )
-EST_LOCATION = _key("est/ekf/location", LocationFix, 10, "newest mean", "The same for any viewer")
-EST_PARAMETERS = _key(
+EST_LOCATION = define("est/ekf/location", LocationFix, 10, "newest mean", "The same for any viewer")
+EST_PARAMETERS = define(
     "est/ekf/parameters", estimate_pb2.FilterParameters, 1, "horizon", "Biases, scales, offsets"
 )
-EST_SMOOTHED = _key(
+EST_SMOOTHED = define(
     "est/ekf/smoothed", estimate_pb2.MotionState, 10, "state", "Offline: with the whole ride known"
 )
 
 # map: where on the network ------------------------------------------------------------------------
-MAP_MATCH = _key(
+MAP_MATCH = define(
     "map/matcher/match", estimate_pb2.MapMatch, 100, "horizon", "Track, chainage, probability"
 )
-MAP_LOCATION = _key(
+MAP_LOCATION = define(
     "map/matcher/location", LocationFix, 10, "horizon", "The place on the track for any viewer"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------
-HEARTBEAT = _key(
+HEARTBEAT = define(
     "health/*/heartbeat", health_pb2.NodeHealth, 1, "publication", "A process is alive"
 )
-DEVICE = _key(
+DEVICE = define(
     "health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge"
 )
-LOSS = _key("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
-LOG = _key("health/*/log", Log, 0, "publication", "What a node has to say")
-CLOCK = _key(
+LOSS = define("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
+LOG = define("health/*/log", Log, 0, "publication", "What a node has to say")
+CLOCK = define(
     "health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC"
 )
 

@@ -13,6 +13,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
+import msgspec
 from google.protobuf.message import Message
 
 from tramstream.keys import Key
@@ -62,6 +63,9 @@ class Processor(ABC):
     name: ClassVar[str]
     inputs: ClassVar[tuple[Key, ...]]
     outputs: ClassVar[tuple[Key, ...]]
+    Settings: ClassVar[type[msgspec.Struct] | None] = None
+    """Its section of the configuration: `[<name>]`, checked strictly while loading. Its instance
+    is had by `tramstream.config_file.settings(vehicle, name, Settings)`."""
     pacing: ClassVar[tuple[Key, ...]] = ()
     """Inputs that move the processor's horizon on; all others may come early: no difference."""
     demanding: ClassVar[bool] = False

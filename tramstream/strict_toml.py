@@ -35,6 +35,17 @@ def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
     ConfigError
         One sentence with the file, the path of the field and what was expected.
     """
+    return convert(read_toml(data, name), type_, name)
+
+
+def read_toml(data: bytes, name: str) -> dict[str, Any]:
+    """TOML text as plain data.
+
+    Raises
+    ------
+    ConfigError
+        If it is none, or too long, or too deep.
+    """
     if len(data) > TEXT_LIMIT_BYTES or _DEEP_KEY.search(data):
         raise ConfigError(f"{name}: not TOML that can be used: it is too long or nests too deeply")
     try:
@@ -43,10 +54,25 @@ def decode_toml(data: bytes, type_: type[Decoded], name: str) -> Decoded:
         raise ConfigError(f"{name}: not TOML that can be used: it nests too deeply") from None
     except (msgspec.DecodeError, ValueError) as error:
         raise ConfigError(f"{name}: not TOML: {error}") from error
+    return raw
+
+
+def convert(raw: Any, type_: type[Decoded], name: str, path: str = "$") -> Decoded:
+    """Plain data as a struct, strictly; `path` is where it stands in the document.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file, the path of the field and what was expected.
+    """
     try:
-        _check(raw, msgspec.inspect.type_info(type_), "$")
+        _check(raw, msgspec.inspect.type_info(type_), path)
         return msgspec.convert(raw, type_)
-    except (ValueError, msgspec.ValidationError) as error:
+    except msgspec.ValidationError as error:  # its paths begin at the part, not at the document
+        text = str(error).replace("`$", f"`{path}")
+        where = "" if path in text else f" - at `{path}`"
+        raise ConfigError(f"{name}: {text}{where}") from error
+    except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tramstream import keys
-from tramstream.config import RECORD_ENTRY, Vehicle
+from tramstream.config import Vehicle
+from tramstream.config_file import RECORD_ENTRY
 from tramstream.errors import ConfigError, RecordError
 from tramstream.estimation.series import FixSeries, StateSeries, TruthSeries
 from tramstream.keys import Key

@@ -9,8 +9,7 @@ from typing import Any
 
 import msgspec
 
-from tramstream import config as configs
-from tramstream import keys
+from tramstream import config_file, keys
 from tramstream.analysis.tables.mapping import GnssTable
 from tramstream.analysis.tables.tables import Tables
 from tramstream.bridges.gnss.bridge import GnssBridge, epoch_times, unix_like_ns
@@ -56,7 +55,7 @@ class Imports:
     def __init__(self, config: Path | None, vehicle: str, model: str) -> None:
         self._configured = config is not None
         self._vehicle_id = vehicle
-        self._use(configs.load(config) if config is not None else Vehicle(vehicle="import"))
+        self._use(config_file.load(config) if config is not None else Vehicle(vehicle="import"))
         self.malformed_lines = 0
         """Lines of CAN logs that are no frames, and of tables that are no rows: left out, and
         told."""
@@ -157,7 +156,7 @@ class Imports:
         self._items.sort(key=lambda item: item.arrival_ns)
         messages: dict[str, int] = {}
         published: dict[str, int] = {}
-        metadata = {configs.RECORD_ENTRY: configs.to_json(self.vehicle)}
+        metadata = {config_file.RECORD_ENTRY: config_file.to_json(self.vehicle)}
         with RecordFile(out, self.vehicle.vehicle, metadata) as target:
 
             def write(sample: Sample, log_ns: int) -> None:

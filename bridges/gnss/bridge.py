@@ -33,7 +33,7 @@ from tramstream.bridges.gnss.framer import NMEA, UBX, Frame, Framer, Rejected
 from tramstream.bridges.gnss.nmea import EpochAssembler
 from tramstream.bridges.gnss.ubx import UbxMessage
 from tramstream.clock import GPS_EPOCH_UNIX_S, S
-from tramstream.config import Vehicle
+from tramstream.config import Gnss, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.keys import Key
 from tramstream.processor import Ledger, Processor, Sample, State
@@ -48,6 +48,7 @@ class GnssBridge(Processor):
     """Receiver's bytes to messages; see the head of the module."""
 
     name = "gnss"
+    Settings = Gnss
     inputs = (keys.GNSS_BYTES,)
     outputs = (
         keys.GNSS_FIX,

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from tramstream import keys
 from tramstream.bridges.imu.framer import FRAME, FRAME_LENGTH, AdisFramer, join
 from tramstream.clock import ClockFit, S
-from tramstream.config import Vehicle
+from tramstream.config import Imu, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.proto.raw_pb2 import ImuBatch, RawBytes
@@ -77,6 +77,7 @@ class ImuBridge(Processor):
     """ADIS16465 bytes to `ImuBatch`."""
 
     name = "imu"
+    Settings = Imu
     inputs = (keys.IMU_BYTES,)
     outputs = (keys.IMU_BATCH,)
 

@@ -86,6 +86,7 @@ class OdometerBridge(Processor):
     """`CanFrames` to `Odometry`."""
 
     name = "odometer"
+    Settings = Odometer
     inputs = (keys.ODO_FRAMES,)
     outputs = (keys.ODO_WHEELS,)
 

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tramstream import keys
+from tramstream import keys, plugins
 from tramstream.bridges.odometer import socketcan
 from tramstream.cli.checks.machine import Finding, fail, from_error, ok, warning
 from tramstream.clock import VehicleClock
@@ -98,8 +98,8 @@ def check_vehicle(vehicle: Vehicle, alive: list[str]) -> list[Finding]:
 def check_device(name: str, vehicle: Vehicle, alive: list[str]) -> list[Finding]:
     """One device: configured well, there, free, and saying what its bridge understands."""
     try:
-        bridge = registry.load("bridges", name)(vehicle)
-        port = registry.load("ports", name)(vehicle, VehicleClock())
+        bridge = plugins.load("bridges", name)(vehicle)
+        port = plugins.load("ports", name)(vehicle, VehicleClock())
     except ConfigError as error:
         return [from_error(name, error)]
     found = []

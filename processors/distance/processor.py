@@ -21,7 +21,7 @@ import numpy as np
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Distance, Vehicle
 from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors.distance import kalman1d
 from tramstream.proto.estimate_pb2 import DistanceState
@@ -61,6 +61,7 @@ class DistanceFilter(Processor):
     """(s, ṡ) from `sync/fusion/frame`, published with every frame that holds a measurement."""
 
     name = "distance"
+    Settings = Distance
     inputs = (keys.SYNC_FRAME,)
     outputs = (keys.EST_DISTANCE,)
     pacing = (keys.SYNC_FRAME,)

@@ -20,7 +20,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Ekf, Vehicle
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.estimation.published import Places
 from tramstream.processor import Processor, Sample, State
@@ -46,6 +46,7 @@ class LocalisationFilter(Processor):
     """States of the vehicle from `sync/fusion/frame`."""
 
     name = "ekf"
+    Settings = Ekf
     inputs = (keys.SYNC_FRAME,)
     outputs = (
         keys.EST_STATE,

@@ -21,6 +21,7 @@ from typing import Any
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.config import Resampler as ResamplerSettings
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.processor import Ledger, Processor, Sample, State
@@ -51,6 +52,7 @@ class Resampler(Processor):
     """
 
     name = "resampler"
+    Settings = ResamplerSettings
     inputs = (keys.IMU_BATCH, keys.GNSS_FIX, keys.ODO_WHEELS, keys.SYNC_TICK)
     outputs = (keys.SYNC_IMU, keys.SYNC_FRAME, keys.SYNC_GAP, keys.SYNC_LATE)
     pacing = (keys.IMU_BATCH,)

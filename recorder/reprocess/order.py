@@ -176,7 +176,8 @@ class Reprocessor:
 
     def _begin(self, index: int) -> None:
         snapshot = self._plan.sessions[index].snapshot
-        restore(snapshot, self._processors, self._others)
+        if self._plan.remembers(snapshot):
+            restore(snapshot, self._processors, self._others)
         self._session = index
         self._snapshot = snapshot
         self._done = {position.key: position for position in snapshot.positions}
@@ -313,7 +314,7 @@ def encoded(made: list[Sample]) -> list[Output]:
 def restore(snapshot: Snapshot, processors: list[Processor], others: Collection[str]) -> None:
     """Put memory back as a session began with it; that of `others` (names) is somebody else's.
 
-    With `run --separate` only the resampler's process makes snapshots; others begin fresh.
+    Processors with a process of their own are not in it: they begin fresh.
 
     Raises
     ------

@@ -125,7 +125,9 @@ class Followers:
     def step(self, session: int, samples: list[Sample]) -> list[Output]:
         """Give what follows from `samples`, which followed from one input."""
         if session != self._session and self._plan.anchored:
-            restore(self._plan.sessions[session].snapshot, self._processors, self._others)
+            snapshot = self._plan.sessions[session].snapshot
+            if self._plan.remembers(snapshot):
+                restore(snapshot, self._processors, self._others)
         self._session = session
         return encoded(self.graph.follow(samples))
 

@@ -33,10 +33,30 @@ class Plan:
     skip: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     """Per key path: publication times (exclusive) of what the live processors never got or used."""
     recorder_lost: dict[str, int] = field(default_factory=dict)
+    settings: frozenset[str] | None = None
+    """Digests of the settings that the processors have now; None: nobody looks at them."""
+
+    def remembers(self, snapshot: Snapshot) -> bool:
+        """Whether the memory in `snapshot` was made with the settings of now."""
+        made_with = snapshot.configuration
+        return self.settings is None or not made_with or made_with in self.settings
+
+    @property
+    def forgotten(self) -> int:
+        """Sessions that begin with memory of other settings, which is left out."""
+        return sum(
+            not self.remembers(session.snapshot) and not is_fresh(session.snapshot)
+            for session in self.sessions
+        )
 
     @property
     def anchored(self) -> bool:
         return bool(self.sessions)
+
+
+def is_fresh(snapshot: Snapshot) -> bool:
+    """Whether a snapshot is the beginning of a ride: there is nothing to remember in it."""
+    return snapshot.start and snapshot.tick_sequence == 0
 
 
 class Spans:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from tramstream import config as configs
-from tramstream import keys
+from tramstream import config_file, keys, plugins
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError, RecordError
@@ -38,6 +37,9 @@ class Rerun:
     comparison: Comparison | None
     without_map: str = ""
     """Why the configured track network was not used."""
+    forgotten: int = 0
+    """Sessions that begin in the middle of a ride, with memory that was made with other settings:
+    the processors began afresh there."""
 
     @property
     def identical(self) -> bool:
@@ -53,7 +55,7 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
     ConfigError
         If there is none in it, or this version does not understand it.
     """
-    text = record.metadata.get(configs.RECORD_ENTRY)
+    text = record.metadata.get(config_file.RECORD_ENTRY)
     if not text:
         raise ConfigError(f"{path}: holds no configuration; give one with --config")
     try:
@@ -91,9 +93,10 @@ def rerun(
     RecordError, ConfigError
     """
     with open_record(source) as record:
-        vehicle = configs.load(config) if config is not None else vehicle_of(record, source)
-        consumers = {registry.PROCESSORS, *registry.names("processors")}
+        vehicle = config_file.load(config) if config is not None else vehicle_of(record, source)
+        consumers = {registry.PROCESSORS, *plugins.names("processors")}
         plan = Plan() if fresh else read_plan(record, consumers)
+        plan.settings = _settings(record, vehicle, config is not None)
         processors = _processors(vehicle, plan)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
@@ -101,7 +104,7 @@ def rerun(
             _keep(processors)
         comparison = Comparison() if check else None
         metadata = {
-            configs.RECORD_ENTRY: configs.to_json(vehicle),
+            config_file.RECORD_ENTRY: config_file.to_json(vehicle),
             "reprocessed_from": source.name,
         }
         name = record.vehicle or vehicle.vehicle
@@ -128,7 +131,17 @@ def rerun(
             },
             comparison=comparison,
             without_map=_without_map(vehicle),
+            forgotten=plan.forgotten,
         )
+
+
+def _settings(record: Record, vehicle: Vehicle, given: bool) -> frozenset[str]:
+    """Digests with which memory in the record is that of processors made from `vehicle`."""
+    known = config_file.digest(vehicle)
+    text = record.metadata.get(config_file.RECORD_ENTRY, "")
+    if given and (not text or config_file.digest(vehicle_of(record, record.paths[0])) != known):
+        return frozenset([known])
+    return frozenset([known, config_file.text_digest(text)])  # older versions took it of the whole
 
 
 class _Writer:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tramstream import config, keys
+from tramstream import config_file, keys
 from tramstream.analysis.tables import mapping as table_mapping
 from tramstream.analysis.tables import units as table_units
 from tramstream.analysis.tables.captures import Imports
@@ -702,7 +702,7 @@ def test_configuration_of_the_mapping_is_the_records_unless_one_is_given(
     desk.put(RELATIVE + IMU, imu=imu_rows(np.arange(20) / 100))
     desk.run()
     with open_record(desk.out) as record:
-        recorded = json.loads(record.metadata[config.RECORD_ENTRY])
+        recorded = json.loads(record.metadata[config_file.RECORD_ENTRY])
     assert (recorded["vehicle"], recorded["imu"]["rate_hz"]) == ("test", 100.0)
     other = tmp_path / "other.toml"
     other.write_text("vehicle = 'other'\n[imu]\ndevice = 'x'\nrate_hz = 99.0\n")
@@ -782,7 +782,7 @@ def test_rtkx_inertial_samples_are_those_of_the_table(rtkx: Path, data_dir: Path
 def test_rtkx_mounting_fits_gravity_and_the_motion_of_the_antenna(rtkx: Path) -> None:
     """Ψ turns case axes into forward, left, up: what RTK says of the motion, the IMU says too."""
     with open_record(rtkx) as record:
-        vehicle = json.loads(record.metadata[config.RECORD_ENTRY])
+        vehicle = json.loads(record.metadata[config_file.RECORD_ENTRY])
     C_bv = C_vl(*np.radians(vehicle["imu"]["mounting_deg"]))
     stamps, values = samples(messages(rtkx, keys.IMU_BATCH))
     omega_v, f_v = values[:, :3] @ C_bv, values[:, 3:] @ C_bv

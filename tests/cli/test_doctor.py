@@ -17,7 +17,7 @@ import pytest
 from live import HANG_S, short_folder
 from looking import VEHICLE, busy_bus, tramstream
 
-from tramstream import config, keys
+from tramstream import config, config_file, keys
 from tramstream.bridges.ports import SerialPort
 from tramstream.bridges.simulators.pseudo_terminal import PseudoTerminal
 from tramstream.cli.checks import devices as checkup_devices
@@ -46,7 +46,7 @@ def folder():
 @pytest.fixture
 def vehicle(tmp_path) -> config.Vehicle:
     init(tmp_path)
-    return config.load(tmp_path / CONFIG_NAME)
+    return config_file.load(tmp_path / CONFIG_NAME)
 
 
 def with_gnss(device: Path, **more) -> config.Vehicle:

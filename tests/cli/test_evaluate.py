@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from looking import START_NS, VEHICLE, tramstream
 
-from tramstream import config, keys
+from tramstream import config_file, keys
 from tramstream.cli.evaluate import evaluate
 from tramstream.clock import S
 from tramstream.errors import ConfigError, DamagedRecordError, RecordError
@@ -30,7 +30,7 @@ LEFT = np.array([-math.sin(YAW_RAD), math.cos(YAW_RAD), 0.0])
 UP = np.array([0.0, 0.0, 1.0])
 VARIANCES = (0.25, 0.25, 1.0, 0.01, 1e-4, 1e-4, 1e-4)
 MM = 1e-3
-CONFIG = config.parse(
+CONFIG = config_file.parse(
     b"""
 vehicle = "4711"
 [gnss]
@@ -190,7 +190,7 @@ def test_smoothed_estimate_is_judged_beside(capsys, tmp_path):
 
 
 def test_lever_arm_and_risk_are_those_of_the_records_configuration(capsys, tmp_path):
-    metadata = {config.RECORD_ENTRY: config.to_json(CONFIG)}
+    metadata = {config_file.RECORD_ENTRY: config_file.to_json(CONFIG)}
     path = write(tmp_path / "a.mcap", truth(), states(OFF), fixes(2.0), **metadata)
     figures = judged(capsys, path)
     assert figures["gnss_horizontal_max_m"] < MM

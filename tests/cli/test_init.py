@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from looking import tramstream
 
-from tramstream import config
+from tramstream import config, config_file, plugins
 from tramstream.cli.init import CONFIG_NAME, DBC_NAME, TEMPLATE, init
 from tramstream.errors import ConfigError
 from tramstream.live import registry
@@ -64,10 +64,10 @@ def test_template_names_every_field_with_its_default():
 
 
 def test_template_loads_as_it_is_and_with_every_setting_taken_in(tmp_path):
-    vehicle = config.parse(TEMPLATE.encode(), "t", tmp_path)
+    vehicle = config_file.parse(TEMPLATE.encode(), "t", tmp_path)
     assert vehicle.simulators == {}
     given = SETTING.sub("", TEMPLATE).encode()
-    whole = config.parse(given, "t", tmp_path)
+    whole = config_file.parse(given, "t", tmp_path)
     assert whole.map is not None
     assert whole.map.network == str(tmp_path / "network.tracks")
     assert msgspec.structs.replace(whole, simulators={}, map=None) == vehicle
@@ -75,9 +75,9 @@ def test_template_loads_as_it_is_and_with_every_setting_taken_in(tmp_path):
 
 def test_written_configuration_makes_bridges_and_processors(tmp_path):
     init(tmp_path / "new")
-    vehicle = config.load(tmp_path / "new" / CONFIG_NAME)
+    vehicle = config_file.load(tmp_path / "new" / CONFIG_NAME)
     for name in registry.configured_bridges(vehicle):
-        registry.load("bridges", name)(vehicle)
+        plugins.load("bridges", name)(vehicle)
     assert registry.configured_bridges(vehicle) == ["gnss", "imu", "odometer"]
     assert registry.make_processors(vehicle)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from tramstream import config, keys
+from tramstream import config, config_file, keys
 from tramstream.cli.main import make_app
 from tramstream.errors import ConfigError, RecordError
 from tramstream.lines.line import built_in_line
@@ -61,7 +61,7 @@ def test_record_holds_the_ride_and_its_configuration(tmp_path: Path) -> None:
         kept = record.metadata
     assert not expected
     assert counts == told["messages"]
-    vehicle = msgspec.json.decode(kept[config.RECORD_ENTRY].encode(), type=config.Vehicle)
+    vehicle = msgspec.json.decode(kept[config_file.RECORD_ENTRY].encode(), type=config.Vehicle)
     assert vehicle == simulation.vehicle
     assert kept["simulation.scenario"] == "city"
 

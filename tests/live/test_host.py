@@ -14,7 +14,7 @@ from tramstream.clock import S
 from tramstream.config import Imu, Vehicle
 from tramstream.errors import DeviceError
 from tramstream.live import snapshots
-from tramstream.live.host import ProcessorNode
+from tramstream.live.host import Memory, ProcessorNode
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.resampling.resampler import Resampler
@@ -98,7 +98,9 @@ class World:
     def run(
         self, processors: Sequence[Processor], *steps: Any, path: Path | None = None
     ) -> ProcessorNode:
-        node = ProcessorNode("processors", VEHICLE, self.bus, Script(*steps), processors, (), path)
+        node = ProcessorNode(
+            "processors", VEHICLE, self.bus, Script(*steps), processors, (), Memory(path)
+        )
         node.run()
         return node
 

@@ -13,8 +13,7 @@ import pytest
 from record_rides import CONFIG, drive, fix, wheels
 from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
-from tramstream import config as configs
-from tramstream import keys
+from tramstream import config_file, keys
 from tramstream.config import Recorder
 from tramstream.live import registry
 from tramstream.live.host import ProcessorNode
@@ -53,7 +52,7 @@ class Vehicle:
         self.others = Sender(self.bus)
         self.sent = {FIRST: 0, SECOND: 0, 0: 0}
         settings = Recorder(directory=str(folder), free_space_floor_bytes=0)
-        metadata = {configs.RECORD_ENTRY: configs.to_json(CONFIG)}
+        metadata = {config_file.RECORD_ENTRY: config_file.to_json(CONFIG)}
         stop = threading.Event()
         self.recorder = RecorderNode(VEHICLE, self.bus, stop, settings, metadata)
         self.bus.subscribe(keys.full(VEHICLE, "**"), self.recorder._deliver)

@@ -335,9 +335,9 @@ def test_configuration_knows_the_sensors_but_not_their_errors() -> None:
     assert vehicle.wheels.m_per_pulse == pytest.approx(2 * math.pi * 0.3 / 2048)
     assert vehicle.wheels.delay_s == 0.0
     assert vehicle.resampler.factor == 20
-    from tramstream import config
+    from tramstream import config, config_file
 
-    text = config.to_json(vehicle)
+    text = config_file.to_json(vehicle)
     assert msgspec.json.decode(text.encode(), type=config.Vehicle) == vehicle
 
 

@@ -15,7 +15,7 @@ import pytest
 from live import HANG_S, SLEEP
 from scripted import ManualClock
 
-from tramstream import config, keys
+from tramstream import config_file, keys, plugins
 from tramstream.config import Bus, Gnss, Imu, Simulator, Vehicle
 from tramstream.errors import BusError, NodeError
 from tramstream.live import registry
@@ -64,6 +64,7 @@ class Scene:
             gnss=Gnss(device="/dev/none"),
             imu=Imu(device="/dev/none"),
             simulators={"ride": Simulator(kind="ride", link="/tmp/x")},
+            separate=Vehicle(vehicle="t1").processors if separate else (),
         )
         self.now_s = 1000.0
         self.started: list[tuple[str, float]] = []
@@ -72,7 +73,7 @@ class Scene:
         self.said: list[str] = []
         self.bus = LocalBus(ManualClock())
         self.ends_at_start: set[str] = set()
-        self.plan = Plan(self.vehicle, Path("t.toml"), separate, successor=("run", roster.REST))
+        self.plan = Plan(self.vehicle, Path("t.toml"), successor=("run", roster.REST))
         self.supervisor = Supervisor(self.plan, self.said.append, self._start, lambda: self.now_s)
 
     def _start(self, name: str) -> Running:
@@ -125,20 +126,20 @@ def test_router_starts_first_and_ends_last_with_the_recorder_next_to_it(
     scene = Scene(folder, separate)
     scene.begin()
     assert [name for name, _ in scene.started[:2]] == ["router", "recorder"]
-    assert {name for name, _ in scene.started} == set(registry.node_names(scene.vehicle, separate))
+    assert {name for name, _ in scene.started} == set(registry.node_names(scene.vehicle))
     scene.supervisor.stop_nodes(None)
     assert "router SIGTERM" not in scene.signals
     scene.supervisor.stop_router()
     kinds = {
-        **dict.fromkeys(registry.names("bridges"), "bridge"),
-        **dict.fromkeys(["processors", *registry.names("processors")], "processor"),
+        **dict.fromkeys(plugins.names("bridges"), "bridge"),
+        **dict.fromkeys(["processors", *plugins.names("processors")], "processor"),
     }
     ends = [line.removesuffix(" SIGTERM") for line in scene.signals]
     order = [kinds.get(name, name) for name in ends]
     assert list(dict.fromkeys(order)) == [
         *("bridge", "processor", "simulators", "recorder", "router")
     ]
-    assert sorted(ends) == sorted(registry.node_names(scene.vehicle, separate))
+    assert sorted(ends) == sorted(registry.node_names(scene.vehicle))
 
 
 def test_stubborn_node_is_killed_at_the_end(scene: Scene) -> None:
@@ -274,7 +275,7 @@ def left_behind(
         supervisor=Proc(os.getpid(), 1),
         claimed=True,
         command=("run",),
-        configuration=config.digest(scene.vehicle),
+        configuration=config_file.digest(scene.vehicle),
         nodes={name: process for name, process in nodes.items() if process is not None},
         lost=7,
     )

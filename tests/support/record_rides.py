@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from scripted import START_NS, VEHICLE, ManualClock, Sender
 
-from tramstream import config as configs
-from tramstream import keys
+from tramstream import config_file, keys
 from tramstream.clock import S
 from tramstream.config import Imu, Vehicle
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -81,7 +80,7 @@ def drive(
 @contextmanager
 def written(path: Path, bus: LocalBus) -> Iterator[None]:
     """Write everything that is on `bus` meanwhile into a record."""
-    metadata = {configs.RECORD_ENTRY: configs.to_json(CONFIG)}
+    metadata = {config_file.RECORD_ENTRY: config_file.to_json(CONFIG)}
     with RecordFile(path, VEHICLE, metadata) as record:
 
         def write(envelope: Envelope) -> None:

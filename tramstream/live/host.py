@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median_low
 from typing import Any
@@ -26,7 +27,7 @@ from tramstream.live.ports import Port, PortReader
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth, Loss
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
-from tramstream.stamps import MAX_AHEAD_NS, ahead_ns
+from tramstream.live.stamps import MAX_AHEAD_NS, ahead_ns
 from tramstream.transport.bus import Bus, Envelope
 
 TICK_S = 0.1
@@ -41,6 +42,18 @@ LEAD_WINDOW_S = 2.0
 """Event time follows the newest input of at least this long."""
 
 
+@dataclass(frozen=True)
+class Memory:
+    """How the memory of a node's processors survives."""
+
+    path: Path | None = None
+    """File from which a process that was killed goes on; None keeps none."""
+    settings: str = ""
+    """Digest of the processors' settings: memory made with others is not taken back."""
+    ticks: bool = True
+    """Whether this node makes the ticks that its processors read, or has them off the bus."""
+
+
 class ProcessorNode(Node):
     """A node made of processors, and of the ports that feed them.
 
@@ -49,10 +62,8 @@ class ProcessorNode(Node):
     processors : sequence of Processor
     ports : sequence of Port
         Their raw messages are stepped through the processors and published.
-    snapshot_path : Path or None
-        Where the memory is kept for a restart; None keeps none.
-    configuration : str
-        Digest of the processors' configuration: memory made with another one is not taken back.
+    memory : Memory or None
+        How the processors' memory survives; a bridge has none to keep.
     """
 
     def __init__(
@@ -63,8 +74,7 @@ class ProcessorNode(Node):
         stop: threading.Event,
         processors: Sequence[Processor],
         ports: Sequence[Port] = (),
-        snapshot_path: Path | None = None,
-        configuration: str = "",
+        memory: Memory | None = None,
     ) -> None:
         super().__init__(name, vehicle, bus, stop)
         self.processors = list(processors)
@@ -74,28 +84,31 @@ class ProcessorNode(Node):
         self._positions: dict[str, Position] = {}
         self._raw: dict[str, list[Any]] = {}
         self._lead = _Lead()
-        self._ticks = self.graph.reads(keys.SYNC_TICK.path)
+        self._ticks = (memory is None or memory.ticks) and self.graph.reads(keys.SYNC_TICK.path)
         self._tick_sequence = 0
         self._tick_ns = 0
         self._received = 0
         self._session = int.from_bytes(os.urandom(8), "little")
-        self._snapshot_path = snapshot_path
-        self._configuration = configuration
+        self._memory = memory or Memory()
         self._last_snapshot_ns = self._recorded_snapshot_ns = 0
 
     # Setting up ----------------------------------------------------------------------------------
     def expressions(self) -> list[str]:
-        made_here = {reader.port.key.path for reader in self.readers} | {keys.SYNC_TICK.path}
+        made_here = {reader.port.key.path for reader in self.readers}
+        if self._ticks:
+            made_here.add(keys.SYNC_TICK.path)
         return sorted(path for path in self.graph.inputs if path not in made_here)
 
     def begin(self) -> None:
         for path in self.expressions():
             key = self.graph.inputs[path]
             self._by_topic[key.on(self.vehicle)] = key
+        self._restore()
         if self._ticks:
-            self._restore()
             self._take_snapshot(start=True)
             self.every(TICK_S, self.tick)
+        elif self._memory.path is not None:
+            self.every(SNAPSHOT_S, self._take_snapshot)
         if self.readers:
             self.every(RAW_S, self.publish_raw)
             self.every(DEVICE_HEALTH_S, self.device_health)
@@ -111,23 +124,25 @@ class ProcessorNode(Node):
             self.device_health()
         if self._ticks:
             self.tick()
+        if self._ticks or self._memory.path is not None:
             self._take_snapshot(end=True)
 
     def _restore(self) -> None:
         """Go on from the snapshot file of a process that died a moment ago."""
-        if self._snapshot_path is None:
+        path = self._memory.path
+        if path is None:
             return
-        state, sentence = snapshots.load(self._snapshot_path, self.clock.now_ns())
+        state, sentence = snapshots.load(path, self.clock.now_ns())
         if sentence:
             self.log(sentence)
         if state is None:
             return
-        same = state.configuration == self._configuration
+        same = state.configuration == self._memory.settings
         if same and snapshots.restore(state, self.processors):
             self._tick_sequence = state.tick_sequence
             self.log(f"{self.name} goes on from the memory of its predecessor")
         else:
-            self.log(f"{self._snapshot_path}: of other processors or settings; starting afresh")
+            self.log(f"{path}: of other processors or settings; starting afresh")
 
     # One item ------------------------------------------------------------------------------------
     def _from_port(self, port: Port) -> Any:
@@ -217,15 +232,16 @@ class ProcessorNode(Node):
             tick_sequence=self._tick_sequence,
             positions=self._positions.values(),
             states=snapshots.take(self.processors),
-            configuration=self._configuration,
+            configuration=self._memory.settings,
         )
-        if start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S:
+        due = start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S
+        if self._ticks and due:
             self._recorded_snapshot_ns = now_ns
             self.publish(keys.SYNC_SNAPSHOT, message)
-        if self._snapshot_path is not None:
+        if self._memory.path is not None:
             message.stamp_ns = now_ns
             try:
-                snapshots.save(self._snapshot_path, message)
+                snapshots.save(self._memory.path, message)
             except OSError as error:
                 self.fault(error)
 

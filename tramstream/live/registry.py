@@ -1,17 +1,14 @@
-"""Nodes, bridges and processors by name, found by entry point: the library imports none of them.
+"""The nodes of a vehicle: which its configuration asks for, and how each is built.
 
-Groups: `tramstream.bridges` (processor class), `tramstream.ports` (port factory of the bridge with
-the same name), `tramstream.processors` (processor class), `tramstream.nodes` (whole node).
+Bridges, processors and whole nodes are found by entry point (`tramstream.plugins`).
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
 
-from tramstream import config
+from tramstream import config_file, keys, plugins
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.live import router
@@ -20,47 +17,39 @@ from tramstream.processor import Processor
 from tramstream.transport.bus import Bus
 
 PROCESSORS = "processors"
-"""Name of the node that runs all processors in one process."""
-SNAPSHOT_FILE = "processors.snapshot"
+"""Name of the node that runs the processors which have no process of their own."""
 
 
-def names(group: str) -> list[str]:
-    """Names registered in `tramstream.<group>`."""
-    return [point.name for point in _points(group)]
-
-
-def load(group: str, name: str) -> Any:
-    """The object registered as `name`.
+def make_processors(vehicle: Vehicle) -> list[Processor]:
+    """All processors that the configuration names, fresh and in its order.
 
     Raises
     ------
     ConfigError
-        If there is none; the sentence lists those that there are.
+        If one of them is not installed.
     """
-    for point in _points(group):
-        if point.name == name:
-            return point.load()
-    known = ", ".join(names(group)) or "none; is tramstream installed (`pip install -e .`)?"
-    raise ConfigError(f"no {group.rstrip('s')} is called {name!r}; there are: {known}")
+    return [make_processor(name, vehicle) for name in vehicle.processors]
 
 
-def _points(group: str) -> list[EntryPoint]:
-    return sorted(entry_points(group=f"tramstream.{group}"), key=lambda point: point.name)
-
-
-def make_processors(vehicle: Vehicle) -> list[Processor]:
-    """All processors, fresh."""
-    return [load("processors", name)(vehicle) for name in names("processors")]
+def make_processor(name: str, vehicle: Vehicle) -> Processor:
+    """The processor called `name`, fresh."""
+    made: Processor = plugins.load("processors", name)(vehicle)
+    return made
 
 
 def configured_bridges(vehicle: Vehicle) -> list[str]:
     """Bridges that the configuration has a section for."""
-    return [name for name in names("bridges") if getattr(vehicle, name, None) is not None]
+    return [name for name in plugins.names("bridges") if config_file.has_section(vehicle, name)]
 
 
-def node_names(vehicle: Vehicle, separate: bool = False) -> list[str]:
+def joint(vehicle: Vehicle) -> list[str]:
+    """Processors that share one process."""
+    return [name for name in vehicle.processors if name not in vehicle.separate]
+
+
+def node_names(vehicle: Vehicle) -> list[str]:
     """Nodes that `vehicle` needs, in the order in which they start; they end in the reverse one."""
-    processors = names("processors") if separate else [PROCESSORS]
+    processors = [*([PROCESSORS] if joint(vehicle) else []), *vehicle.separate]
     simulators = ["simulators"] if vehicle.simulators else []
     return [router.NAME, "recorder", *simulators, *processors, *configured_bridges(vehicle)]
 
@@ -73,11 +62,11 @@ def check_node(name: str, vehicle: Vehicle) -> None:
     ConfigError
         One sentence; it lists the nodes that there are.
     """
-    parts = [*names("processors"), *names("bridges"), *names("nodes")]
-    known = [PROCESSORS, *parts, router.NAME]
+    processors, bridges = plugins.names("processors"), plugins.names("bridges")
+    known = [PROCESSORS, *processors, *bridges, *plugins.names("nodes"), router.NAME]
     if name not in known:
-        raise ConfigError(f"no node is called {name!r}; there are: {', '.join(known)}")
-    if name in names("bridges") and getattr(vehicle, name, None) is None:
+        raise ConfigError(plugins.unknown("node", name, known))
+    if name in bridges and not config_file.has_section(vehicle, name):
         raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
 
 
@@ -87,20 +76,29 @@ def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> N
     if name == router.NAME:
         return router.RouterNode(vehicle.vehicle, bus, stop)
     # Not above: the supervisor and a router of its own need no numpy, which takes 15 MB.
-    from tramstream.live.host import ProcessorNode
+    from tramstream.live.host import Memory, ProcessorNode
 
-    if name in names("bridges"):
-        bridge = load("bridges", name)(vehicle)
-        port = load("ports", name)(vehicle, bus.clock)
+    if name in plugins.names("bridges"):
+        bridge = plugins.load("bridges", name)(vehicle)
+        port = plugins.load("ports", name)(vehicle, bus.clock)
         return ProcessorNode(name, vehicle.vehicle, bus, stop, [bridge], [port])
-    if name == PROCESSORS or name in names("processors"):
-        processors = (
-            make_processors(vehicle) if name == PROCESSORS else [load("processors", name)(vehicle)]
-        )
-        snapshot_path = vehicle.runtime_dir / SNAPSHOT_FILE if name == PROCESSORS else None
-        digest = config.digest(vehicle)
-        return ProcessorNode(
-            name, vehicle.vehicle, bus, stop, processors, (), snapshot_path, digest
-        )
-    build: Callable[[Vehicle, Bus, threading.Event], Node] = load("nodes", name)
+    if name == PROCESSORS or name in plugins.names("processors"):
+        own = joint(vehicle) if name == PROCESSORS else [name]
+        processors = [make_processor(each, vehicle) for each in own]
+        path = vehicle.runtime_dir / f"{name}.snapshot"
+        memory = Memory(path, config_file.digest(vehicle), _ticks(own, vehicle))
+        return ProcessorNode(name, vehicle.vehicle, bus, stop, processors, (), memory)
+    build: Callable[[Vehicle, Bus, threading.Event], Node] = plugins.load("nodes", name)
     return build(vehicle, bus, stop)
+
+
+def _ticks(own: list[str], vehicle: Vehicle) -> bool:
+    """Whether the node that runs `own` makes the ticks: with the first processor that reads them.
+
+    There is one maker of ticks on a vehicle; a node of its own that reads them has them off the
+    bus, like anything else.
+    """
+    for name in [*vehicle.processors, *own]:
+        if keys.SYNC_TICK in plugins.load("processors", name).inputs:
+            return name in own
+    return False

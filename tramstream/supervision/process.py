@@ -15,12 +15,12 @@ import signal
 import sys
 import threading
 from contextlib import suppress
-from importlib.metadata import entry_points
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
+from tramstream import plugins
 from tramstream.clock import VehicleClock
-from tramstream.config import load
+from tramstream.config_file import load
 from tramstream.errors import TramstreamError
 from tramstream.live import registry, router
 from tramstream.supervision.succession import Orphan
@@ -28,6 +28,8 @@ from tramstream.transport.bus import Bus, ZenohBus
 
 GROUPS = ("bridges", "ports", "processors", "nodes")
 PRELOAD = "tramstream.supervision.preload"
+OURS = "tramstream"
+"""Name of our distribution."""
 REPORT_S = 2.0
 """The fork server tells a child's status as soon as it runs."""
 
@@ -124,10 +126,11 @@ def server() -> ForkServerContext:
 
 
 def import_nodes() -> None:
-    """Import every module that a node may need."""
+    """Import every module of ours that a node may need; strangers' are imported where they run."""
     for group in GROUPS:
-        for point in entry_points(group=f"tramstream.{group}"):
-            point.load()
+        for point in plugins.points(group):
+            if point.dist is not None and point.dist.name == OURS:
+                point.load()
 
 
 def _main(name: str, config: str, runtime_dir: str) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from tramstream import config, keys
+from tramstream import config_file, keys
 from tramstream.config import Vehicle
 from tramstream.errors import BusError, NodeError
 from tramstream.live import registry, router
@@ -67,7 +67,6 @@ class Plan:
 
     vehicle: Vehicle
     config_path: Path
-    separate: bool = False
     rate: float = 1.0
     successor: Sequence[str] = ()
 
@@ -107,9 +106,9 @@ class Supervisor:
             roster.fresh(),
             claimed=True,
             command=tuple(plan.successor),
-            configuration=config.digest(plan.vehicle),
+            configuration=config_file.text_digest(config_file.to_json(plan.vehicle)),
         )
-        self.children = [Child(name) for name in registry.node_names(plan.vehicle, plan.separate)]
+        self.children = [Child(name) for name in registry.node_names(plan.vehicle)]
         for child in self.children:
             child.backoff_s = child.first_backoff_s
 

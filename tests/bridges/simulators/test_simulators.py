@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from live import HANG_S, until
 
-from tramstream import config
+from tramstream import config, config_file
 from tramstream.bridges.gnss import ubx
 from tramstream.bridges.gnss.framer import Frame, Framer
 from tramstream.bridges.imu.framer import FRAME_LENGTH, AdisFramer
@@ -64,7 +64,7 @@ def vehicle_of(tmp_path: Path, simulators: str, imu_rate_hz: int = 200) -> confi
     rate_hz = {imu_rate_hz}
     {simulators}
     """
-    return config.parse(text.encode(), "vehicle.toml", tmp_path)
+    return config_file.parse(text.encode(), "vehicle.toml", tmp_path)
 
 
 RIDE = '[simulators.ride]\nkind = "ride"\nlink = "tram"\nseed = 4\n'

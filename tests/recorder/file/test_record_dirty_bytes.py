@@ -16,8 +16,7 @@ import pytest
 from record_rides import CONFIG, drive, written
 from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
-from tramstream import config as configs
-from tramstream import keys
+from tramstream import config_file, keys
 from tramstream.analysis.evaluate import demo
 from tramstream.analysis.evaluate.source import gather
 from tramstream.analysis.report import source as report_source
@@ -79,7 +78,7 @@ def dirty(clean: Path, out: Path, seed: int, inputs_too: bool = True) -> Counter
     wrong: Counter[str] = Counter()
     with (
         open_record(clean) as record,
-        RecordFile(out, VEHICLE, {configs.RECORD_ENTRY: configs.to_json(CONFIG)}) as target,
+        RecordFile(out, VEHICLE, {config_file.RECORD_ENTRY: config_file.to_json(CONFIG)}) as target,
     ):
         for entry in record.messages():
             path = keys.split(entry.topic)[1]

@@ -1,0 +1,191 @@
+"""A vehicle configuration out of its file: strict, with paths made absolute, and what names it.
+
+Sections of processors and bridges of other packages are checked against the `Settings` of their
+class, found by entry point, as strictly as ours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from tramstream import plugins
+from tramstream.config import Bus, Recorder, Vehicle
+from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
+from tramstream.strict_toml import convert, read_toml
+
+RECORD_ENTRY = "config"
+"""Entry of a record's metadata that holds `to_json`."""
+
+
+def load(path: Path) -> Vehicle:
+    """Read a vehicle configuration; relative paths in it are relative to the file.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with the file, the path of the field and what was expected.
+    """
+    try:
+        data = read_limited(path, TEXT_LIMIT_BYTES)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot read the configuration ({error.strerror}); "
+            "`tramstream init` writes one"
+        ) from error
+    return parse(data, str(path), path.parent)
+
+
+def parse(data: bytes, name: str, folder: Path) -> Vehicle:
+    """Decode configuration text; see `load`."""
+    raw = read_toml(data, name)
+    sections = {section: raw.pop(section) for section in _strangers() if section in raw}
+    if SECTIONS in raw:
+        raise ConfigError(
+            f"{name}: $.{SECTIONS}: unknown field; settings of a processor of another package "
+            "stand in a section of its name"
+        )
+    vehicle = _resolve(convert(raw, Vehicle, name), folder)
+    _check_names(vehicle, name)
+    return msgspec.structs.replace(vehicle, sections=_checked(vehicle, sections, name))
+
+
+SECTIONS = "sections"
+
+
+def _strangers() -> list[str]:
+    """Names of sections that processors and bridges of other packages have."""
+    known = {*plugins.names("processors"), *plugins.names("bridges")}
+    return sorted(known - set(Vehicle.__struct_fields__))
+
+
+def _check_names(vehicle: Vehicle, file: str) -> None:
+    """Refuse processors that are not installed, or are named twice."""
+    installed = plugins.names("processors")
+    for field, known in (("processors", installed), ("separate", list(vehicle.processors))):
+        chosen: tuple[str, ...] = getattr(vehicle, field)
+        for index, name in enumerate(chosen):
+            if name not in known:
+                sentence = plugins.unknown("processor", name, known)
+                raise ConfigError(f"{file}: $.{field}[{index}]: {sentence}")
+            if name in chosen[:index]:
+                raise ConfigError(f"{file}: $.{field}[{index}]: {name} is named twice")
+
+
+def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str, dict[str, Any]]:
+    """Strangers' sections against the `Settings` of their classes, defaults filled in."""
+    bridges = plugins.names("bridges")
+    running = [name for name in vehicle.processors if name in _strangers()]
+    made = {}
+    for section in dict.fromkeys((*sections, *running)):
+        class_ = plugins.load("bridges" if section in bridges else "processors", section)
+        type_ = class_.Settings
+        if type_ is None:
+            if section in sections:
+                raise ConfigError(f"{file}: $.{section}: {section} has no settings; delete it")
+            continue
+        found = convert(sections.get(section, {}), type_, file, f"$.{section}")
+        made[section] = msgspec.to_builtins(found)
+    return made
+
+
+def has_section(vehicle: Vehicle, name: str) -> bool:
+    """Whether the configuration has a section for the bridge `name`."""
+    return name in vehicle.sections or getattr(vehicle, name, None) is not None
+
+
+Settings = TypeVar("Settings", bound=msgspec.Struct)
+
+
+def settings(vehicle: Vehicle, name: str, type_: type[Settings]) -> Settings:
+    """The settings of the processor or bridge `name`, whose class says that they are a `type_`.
+
+    Raises
+    ------
+    ConfigError
+        If the section, of another version perhaps, does not fit.
+    """
+    own = getattr(vehicle, name, None)
+    if isinstance(own, type_):
+        return own
+    return convert(vehicle.sections.get(name, {}), type_, vehicle.vehicle, f"$.{name}")
+
+
+def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
+    """Make file paths absolute; device names and channels stay what they are."""
+
+    def absolute(path: str) -> str:
+        return str((folder / path).absolute()) if path else path
+
+    changes: dict[str, Any] = {
+        "recorder": msgspec.structs.replace(
+            vehicle.recorder, directory=absolute(vehicle.recorder.directory)
+        ),
+        "simulators": {
+            name: msgspec.structs.replace(
+                simulator, file=absolute(simulator.file), link=absolute(simulator.link)
+            )
+            for name, simulator in vehicle.simulators.items()
+        },
+        "bus": msgspec.structs.replace(vehicle.bus, runtime_dir=absolute(vehicle.bus.runtime_dir)),
+    }
+    if vehicle.odometer is not None:
+        changes["odometer"] = msgspec.structs.replace(
+            vehicle.odometer,
+            dbc=absolute(vehicle.odometer.dbc),
+            channel=_device(vehicle.odometer.channel, folder),
+        )
+    if vehicle.map is not None:
+        changes["map"] = msgspec.structs.replace(vehicle.map, network=absolute(vehicle.map.network))
+    if vehicle.gnss is not None:
+        changes["gnss"] = msgspec.structs.replace(
+            vehicle.gnss, device=_device(vehicle.gnss.device, folder)
+        )
+    if vehicle.imu is not None:
+        changes["imu"] = msgspec.structs.replace(
+            vehicle.imu, device=_device(vehicle.imu.device, folder)
+        )
+    return msgspec.structs.replace(vehicle, **changes)
+
+
+def _device(name: str, folder: Path) -> str:
+    """A path with a slash in it is relative to the configuration; `can0` is an interface."""
+    return str((folder / name).absolute()) if "/" in name and "://" not in name else name
+
+
+def to_json(vehicle: Vehicle) -> str:
+    """A configuration as it goes into a record's metadata; `msgspec.json` reads it back."""
+    return msgspec.json.encode(vehicle).decode()
+
+
+def digest(vehicle: Vehicle) -> str:
+    """Short name of what processors are made of: equal where their memory fits.
+
+    Where the vehicle's bus, records, devices and files are, and which processor has a process of
+    its own, does not count.
+    """
+    plain = msgspec.structs.replace
+    changes: dict[str, Any] = {
+        "bus": Bus(),
+        "recorder": Recorder(),
+        "simulators": {},
+        "separate": (),
+    }
+    if vehicle.gnss is not None:
+        changes["gnss"] = plain(vehicle.gnss, device="")
+    if vehicle.imu is not None:
+        changes["imu"] = plain(vehicle.imu, device="")
+    if vehicle.odometer is not None:
+        changes["odometer"] = plain(vehicle.odometer, channel="", dbc="")
+    if vehicle.map is not None:
+        changes["map"] = plain(vehicle.map, network=Path(vehicle.map.network).name)
+    return text_digest(to_json(plain(vehicle, **changes)))
+
+
+def text_digest(text: str) -> str:
+    """Short name of a text; of a whole configuration, older records' snapshots have it."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
