@@ -66,7 +66,7 @@ def test_scenario_of_the_simulation_page_is_one() -> None:
     assert len(scenario.events) == 2
 
 
-# What docstrings, comments and pages cite ----------------------------------------------------------
+# What docstrings, comments and pages cite ---------------------------------------------------------
 CODE = [
     path
     for folder in ("bridges", "cli", "processors", "recorder", "tests", "tramstream", "analysis")
@@ -131,8 +131,8 @@ def test_documents_that_code_and_pages_name_exist() -> None:
     missing = []
     for path in [*CODE, *PAGES]:
         for name in re.findall(r"[\w./-]+\.md\b", said(path)):
-            beside = path.parent if path in PAGES else REPOSITORY
-            if not name.startswith(OUTSIDE) and not (beside / name).exists():
+            folders = (REPOSITORY, path.parent) if path in PAGES else (REPOSITORY,)
+            if not name.startswith(OUTSIDE) and not any((each / name).exists() for each in folders):
                 missing.append(f"{path.relative_to(REPOSITORY)}: {name}")
     assert not missing
 
@@ -162,11 +162,12 @@ def test_sections_of_the_theory_that_are_cited_exist() -> None:
 
 def test_theory_is_cited_by_section() -> None:
     """A citation without a number, or in another form, would be checked by nobody."""
-    loose = []
-    for path in CODE:
-        for match in re.finditer(r"theory\.md(.{0,12})", said(path)):
-            if path != Path(__file__) and not re.match(r", sections? \d", match[1]):
-                loose.append(f"{path.relative_to(REPOSITORY)}: {match[0]}")
+    loose = [
+        f"{path.relative_to(REPOSITORY)}: {match[0]}"
+        for path in CODE
+        for match in re.finditer(r"theory\.md(.{0,12})", said(path))
+        if path != Path(__file__) and not re.match(r", sections? \d", match[1])
+    ]
     assert not loose
 
 
@@ -183,7 +184,7 @@ def test_sections_of_the_theory_are_numbered_in_order() -> None:
     headings = re.findall(rf"^(##+) ({NUMBER}) ", text, re.MULTILINE)
     numbers = [tuple(map(int, number.split("."))) for _, number in headings]
     assert numbers == sorted(set(numbers))
-    assert all(len(marks) == len(number) + 1 for (marks, _), number in zip(headings, numbers))
+    assert all(len(marks) == 2 + number.count(".") for marks, number in headings)
 
 
 def test_works_that_code_and_pages_name_are_in_the_references() -> None:
