@@ -9,6 +9,8 @@ The wheels' path is *tied* to the estimate with its first reading, and anew when
 restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
 and after many refusals. What the estimate was wrong by at a tie stays in the distance for good: its
 variance is *settled*, kept beside the filter, whose P speaks of the path since the tie.
+
+Equations: docs/theory.md, section 9.2.
 """
 
 from __future__ import annotations
