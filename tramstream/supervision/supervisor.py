@@ -269,6 +269,7 @@ class Supervisor:
             self._have_them_heard(bus, each)
         for child in reversed(self.children[2:]):
             self._stop(child)
+            each()
         self._stop_recorder(self.children[1])
         if bus is None:
             return
