@@ -13,7 +13,7 @@ from live import HANG_S, short_folder, until
 from test_pipeline import Running
 
 from tramstream import keys
-from tramstream.cli.demo import configuration
+from tramstream.cli.terminal.demo_vehicle import configuration
 from tramstream.clock import VehicleClock
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.reader import open_record

@@ -274,8 +274,8 @@ class Supervisor:
         if bus is None:
             return
         # Who has left the bus in the router's eyes has been heard to the end by then.
-        token = keys.alive(self.plan.vehicle.vehicle, self.children[1].name)
         end_s = self._now_s() + LAST_WORD_S
+        token = keys.alive(self.plan.vehicle.vehicle, self.children[1].name)
         while bus.alive(token) and self._now_s() < end_s:
             each()
         each()
