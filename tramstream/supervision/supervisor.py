@@ -281,10 +281,7 @@ class Supervisor:
         each()
 
     def _have_them_heard(self, bus: Bus, each: Callable[[], None]) -> None:
-        """See to it that there is a recorder that hears: it asks the others for what none has.
-
-        They hold what they published lately, and take it with them when they end.
-        """
+        """See to it that a recorder hears and asks the others for what none has."""
         recorder, vehicle = self.children[1], self.plan.vehicle.vehicle
 
         def wait(seconds: float) -> bool:
@@ -321,9 +318,8 @@ class Supervisor:
         running, recorder.running = recorder.running, None
         if running is None:
             return
-        how = "was gone" if running.ended() else ""
-        how = self._end(recorder.name, running) or how
-        if how:
+        gone = "was gone" if running.ended() else ""
+        if how := self._end(recorder.name, running) or gone:
             self.unheard = f"node {recorder.name} {how} at the end"
             self._say(f"{self.unheard}; what was published last may be missing in its record")
 
