@@ -226,11 +226,25 @@ def matches(expression: str, key: str) -> bool:
 
 
 def _match(pattern: list[str], parts: list[str]) -> bool:
-    if not pattern:
-        return not parts
-    if pattern[0] == "**":
-        return any(_match(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
-    return bool(parts) and pattern[0] in ("*", parts[0]) and _match(pattern[1:], parts[1:])
+    """Match word by word; a `**` takes one more where what follows does not fit.
+
+    Only the last `**` need be tried again, so a stranger's expression of many costs at most the
+    product of the two lengths.
+    """
+    at = place = 0
+    wild, begun = -1, 0
+    while place < len(parts):
+        if at < len(pattern) and pattern[at] == "**":
+            wild, begun = at, place
+            at += 1
+        elif at < len(pattern) and pattern[at] in ("*", parts[place]):
+            at, place = at + 1, place + 1
+        elif wild >= 0:
+            begun += 1
+            at, place = wild + 1, begun
+        else:
+            return False
+    return all(word == "**" for word in pattern[at:])
 
 
 def descriptor_set(type_: Any) -> FileDescriptorSet:
