@@ -22,7 +22,7 @@ def run(
     """Run bridges, processors and recorder until Ctrl-C.
 
     Killed, it comes back by itself and takes over its nodes, which go on meanwhile; it says then
-    how to end it. Ends with status 3 if messages are missing in the records.
+    how to end it. Ends with status 3 if messages are missing in the records, or may be.
     """
     import os
     import sys
@@ -57,9 +57,11 @@ def run(
                 "look with `tramstream top`"
             )
         run_.until(stop, duration_s)
-    if run_.lost:
+    if run_.lost or run_.unheard:
+        known = f"{run_.lost} messages are missing" if run_.lost else ""
+        unknown = f"{run_.unheard}: the last messages may be missing" if run_.unheard else ""
         raise DamagedRecordError(
-            f"{run_.lost} messages are missing in the records of this run in "
+            f"{'; '.join(filter(None, (known, unknown)))} in the records of this run in "
             f"{vehicle.recorder.directory}; `tramstream info` says what is in them, "
             "`tramstream report` which are missing"
         )

@@ -31,6 +31,8 @@ STRETCHES = 400
 """Of one request."""
 SWEEP_BEHIND_NS = S
 """What was published since may still be on its way."""
+MOST_HOLES = 2000
+"""Open at a time on one topic of one publisher; the oldest of more are given up."""
 STALE_NS = 120 * S
 """A publisher that has been silent for so long, and has a successor on its topic, is over."""
 
@@ -312,8 +314,10 @@ class GapBook(LossCounter):
         """Close what nobody has answered for too long: what is missing is lost."""
         losses: list[Loss] = []
         for stream in list(self._open.values()):
-            for hole in list(stream.holes):
-                if at_once or (hole.asked > len(AGAIN_NS) and now_ns >= hole.due_ns):
+            too_many = len(stream.holes) - MOST_HOLES
+            for index, hole in enumerate(list(stream.holes)):
+                given_up = hole.asked > len(AGAIN_NS) and now_ns >= hole.due_ns
+                if at_once or given_up or index < too_many:
                     losses += self._close(stream, hole)
         if self._orphans and (at_once or now_ns - self._begun_ns > ORPHANED_NS):
             waiting = {stream.topic for stream in self._open.values()}

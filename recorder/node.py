@@ -30,8 +30,12 @@ from tramstream.recorder.previous import remember
 from tramstream.recorder.recording import Recording
 from tramstream.transport.bus import Bus, Envelope
 from tramstream.transport.header import is_possible
+from tramstream.transport.sources import MOST_TOPICS, OTHERS
 
 NAME = "recorder"
+SENTENCES = 20
+"""About keys of strangers; what follows is counted, and the count told."""
+UNSAID_S = 10.0
 ASK_S = 0.05
 SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
@@ -108,6 +112,7 @@ class RecorderNode(Node):
         self._settings = settings
         self._expression = expression
         self._keys: dict[str, Key | None] = {}
+        self._mentioned = self._unsaid = self._unsaid_told = 0
         self._ledger = Ledger(NAME, "messages")
 
     def expressions(self) -> list[str]:
@@ -121,6 +126,7 @@ class RecorderNode(Node):
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
+        self.every(UNSAID_S, self._tell_unsaid)
         self.bus.attend(keys.farewell(self.vehicle), self._farewell)
         if self._goes_on:
             self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
@@ -128,16 +134,16 @@ class RecorderNode(Node):
 
     def handle(self, envelope: Envelope) -> None:
         topic = envelope.topic
-        published = envelope
-        if keys.APART in topic:  # its publisher knows it by the topic that it was published on
-            published = envelope._replace(topic=keys.published(topic))
-        log_ns = self._gaps.offer(published, self.ring.dropped)
-        if log_ns is None:
-            return
         try:
             key = self._keys[topic]
         except KeyError:
+            if len(self._keys) >= MOST_TOPICS and self._is_made_up(envelope):
+                self._leave_out(f"{topic}: not recorded; {MOST_TOPICS} keys are, and this is more")
+                return
             key = self._keys[topic] = self._find(topic)
+        log_ns = self._log_time(envelope)
+        if log_ns is None:
+            return
         self._ledger.received += 1
         if key is None:
             self._ledger.dropped += 1
@@ -148,6 +154,42 @@ class RecorderNode(Node):
         self.recording.append(
             topic, key, envelope.payload, log_ns, envelope.publish_ns, envelope.sequence
         )
+
+    def _log_time(self, envelope: Envelope) -> int | None:
+        """When a message came; None if the record has it."""
+        topic = envelope.topic
+        if not keys.is_apart(topic):
+            return self._gaps.offer(envelope, self.ring.dropped)
+        if topic == keys.apart(keys.published(topic), OTHERS):
+            return envelope.arrival_ns  # of ever new sessions: nothing can be counted
+        # Its publisher knows it by the topic that it was published on.
+        published = envelope._replace(topic=keys.published(topic))
+        return self._gaps.offer(published, self.ring.dropped)
+
+    def _is_made_up(self, envelope: Envelope) -> bool:
+        """Whether no node that is announced publishes it."""
+        session = envelope.session
+        return not session or not self.sources.is_announced(session, self.clock.now_ns())
+
+    def _leave_out(self, sentence: str) -> None:
+        """Count a message that is not recorded, and say so while there is room for sentences."""
+        self._ledger.received += 1
+        self._ledger.dropped += 1
+        self._mention(sentence)
+
+    def _mention(self, sentence: str) -> None:
+        """Say something that a stranger may cause any number of times."""
+        if self._mentioned < SENTENCES:
+            self._mentioned += 1
+            self.log(sentence)
+        else:
+            self._unsaid += 1
+
+    def _tell_unsaid(self) -> None:
+        """Count what was not said."""
+        if self._unsaid > self._unsaid_told:
+            self._unsaid_told = self._unsaid
+            self.log(f"{self._unsaid} more sentences about keys of strangers were not said")
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
@@ -286,16 +328,16 @@ class RecorderNode(Node):
         self._deaf = False
 
     def _find(self, topic: str) -> Key | None:
-        path = keys.split(topic)[1]
-        if keys.is_apart(path):
-            path = keys.published(path)
-            who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
-            self.log(f"{path} comes from a second publisher, {who}; it is recorded as {topic}")
+        vehicle, path = keys.split(keys.published(topic))
         if any(keys.matches(expression, path) for expression in self._settings.exclude):
             return None
-        key = keys.find(path)
+        key = keys.find(path) if vehicle == self.vehicle else None
         if key is None:
-            self.log(f"{topic}: not recorded, for this version of tramstream has no such key")
+            text = "not recorded, for this version of tramstream has no such key"
+            self._mention(f"{topic}: {text}")
+        elif keys.is_apart(topic):
+            who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
+            self._mention(f"{path} comes from a second publisher, {who}; it is recorded as {topic}")
         return key
 
     def flush(self) -> None:
@@ -325,6 +367,7 @@ class RecorderNode(Node):
         self.heartbeat()
         self.drain()
         self.settle_sources(at_end=True)
+        self._tell_unsaid()
         try:
             self._ask_for_the_last()
             self.settle_sources(at_end=True)

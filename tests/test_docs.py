@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import io
 import re
+import tokenize
 import tomllib
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -60,3 +64,147 @@ def test_scenario_of_the_simulation_page_is_one() -> None:
     scenario = parse(page.split("```toml\n")[1].split("```")[0].encode(), "simulation.md")
     assert scenario.reverse
     assert len(scenario.events) == 2
+
+
+# What docstrings, comments and pages cite ---------------------------------------------------------
+CODE = [
+    path
+    for folder in ("bridges", "cli", "processors", "recorder", "tests", "tramstream", "analysis")
+    for path in sorted((REPOSITORY / folder).rglob("*"))
+    if path.suffix in {".py", ".toml", ".proto"} and not path.name.endswith("_pb2.py")
+]
+PAGES = [
+    *(REPOSITORY / name for name in ("README.md", "CHANGELOG.md")),
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+]
+OUTSIDE = ("../shared/", "shared/")
+"""Recordings that lie beside the repository and are no part of it."""
+NUMBER = r"\d+(?:\.\d+)*"
+SECTIONS = re.compile(rf"sections? ({NUMBER}(?:(?:, | and | to ){NUMBER})*)")
+OTHERS_SECTION = ("et al., ", "Sokal, ", " its ")
+"""What stands before the section of somebody else's work in docs/theory.md."""
+
+
+@cache
+def said(path: Path) -> str:
+    """Words of a file that are for people, on one line: docstrings and comments, or a page."""
+    text = path.read_text()
+    if path.suffix == ".py":
+        words = [
+            node.value.value
+            for node in ast.walk(ast.parse(text))
+            if isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        ]
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        words += [each.string[1:] for each in tokens if each.type == tokenize.COMMENT]
+    elif path.suffix in {".toml", ".proto"}:
+        words = re.findall(r"(?:#|//)(.*)", text)
+    else:
+        words = [text]
+    return " ".join(" ".join(words).split())
+
+
+def sections_of_the_theory() -> set[str]:
+    """Numbers of the headings of docs/theory.md: `## 3 …` and `### 3.2 …`."""
+    text = (REPOSITORY / "docs" / "theory.md").read_text()
+    return set(re.findall(rf"^##+ ({NUMBER}) ", text, re.MULTILINE))
+
+
+def cited_sections(path: Path) -> list[str]:
+    """Sections of docs/theory.md that a file names."""
+    text = said(path)
+    if path.name == "theory.md":
+        begins = [
+            match
+            for match in SECTIONS.finditer(text)
+            if not text[: match.start()].endswith(OTHERS_SECTION)
+        ]
+    else:
+        text = text.replace("](theory.md)", "").replace("](docs/theory.md)", "")
+        begins = list(re.finditer(rf"theory\.md, {SECTIONS.pattern}", text))
+    return [number for match in begins for number in re.findall(NUMBER, match[1])]
+
+
+def test_documents_that_code_and_pages_name_exist() -> None:
+    missing = []
+    for path in [*CODE, *PAGES]:
+        for name in re.findall(r"[\w./-]+\.md\b", said(path)):
+            folders = (REPOSITORY, path.parent) if path in PAGES else (REPOSITORY,)
+            if not name.startswith(OUTSIDE) and not any((each / name).exists() for each in folders):
+                missing.append(f"{path.relative_to(REPOSITORY)}: {name}")
+    assert not missing
+
+
+def test_modules_that_pages_name_exist() -> None:
+    missing = [
+        f"{path.name}: {name}"
+        for path in PAGES
+        for name in re.findall(r"\b\w+(?:/\w+)+\.(?:py|toml)\b", said(path))
+        if not name.startswith(OUTSIDE) and not (REPOSITORY / name).exists()
+    ]
+    assert not missing
+
+
+def test_sections_of_the_theory_that_are_cited_exist() -> None:
+    known = sections_of_the_theory()
+    cited = {path: cited_sections(path) for path in [*CODE, *PAGES]}
+    assert sum(map(len, cited.values())) > 100, "citations are not found any more"
+    wrong = [
+        f"{path.relative_to(REPOSITORY)}: section {number}"
+        for path, numbers in cited.items()
+        for number in numbers
+        if number not in known
+    ]
+    assert not wrong
+
+
+def test_theory_is_cited_by_section() -> None:
+    """A citation without a number, or in another form, would be checked by nobody."""
+    loose = [
+        f"{path.relative_to(REPOSITORY)}: {match[0]}"
+        for path in CODE
+        for match in re.finditer(r"theory\.md(.{0,12})", said(path))
+        if path != Path(__file__) and not re.match(r", sections? \d", match[1])
+    ]
+    assert not loose
+
+
+def test_sections_in_the_glossary_exist() -> None:
+    rows = (REPOSITORY / "docs" / "glossary.md").read_text().splitlines()
+    cells = [row.split("|")[-2] for row in rows if row.startswith("| ") and "theory |" not in row]
+    numbers = {number for cell in cells for number in re.findall(NUMBER, cell)}
+    assert numbers
+    assert numbers <= sections_of_the_theory()
+
+
+def test_sections_of_the_theory_are_numbered_in_order() -> None:
+    text = (REPOSITORY / "docs" / "theory.md").read_text()
+    headings = re.findall(rf"^(##+) ({NUMBER}) ", text, re.MULTILINE)
+    numbers = [tuple(map(int, number.split("."))) for _, number in headings]
+    assert numbers == sorted(set(numbers))
+    assert all(len(marks) == 2 + number.count(".") for marks, number in headings)
+
+
+def test_works_that_code_and_pages_name_are_in_the_references() -> None:
+    references = (REPOSITORY / "docs" / "references.md").read_text()
+    known = set(re.findall(r"^\| `(\w+)` \|", references, re.MULTILINE))
+    assert "kaspar2023" in known
+    unknown = [
+        f"{path.relative_to(REPOSITORY)}: {name}"
+        for path in [*CODE, *PAGES]
+        for name in re.findall(r"\b[a-z]{3,}(?:19|20)\d\d\b", said(path))
+        if name not in known
+    ]
+    assert not unknown
+
+
+def test_no_docstring_cites_an_issue() -> None:
+    """Issues are no part of the repository."""
+    cited = [
+        f"{path.relative_to(REPOSITORY)}: {match}"
+        for path in CODE
+        for match in re.findall(r"\bissue \d+", said(path))
+    ]
+    assert not cited

@@ -54,7 +54,7 @@ def test_gravity_at_equator_and_pole_is_that_of_tr8350_2() -> None:
 
 
 def test_gravity_near_prague_is_the_one_theory_names() -> None:
-    # theory.md section 1: 9.81009 near Prague
+    # docs/theory.md, section 2.3: 9.81009 near Prague
     gravity = geodesy.normal_gravity_mps2(np.radians(50.08), 250.0)
     assert gravity == pytest.approx(9.81009, abs=1e-4)
 

@@ -28,6 +28,30 @@ def test_matches_is_what_zenoh_includes_and_intersects(expression: str, name: st
     assert keys.matches(expression, name) == authority.intersects(zenoh.KeyExpr(name))
 
 
+def slowly(pattern: list[str], parts: list[str]) -> bool:
+    """As the definition says, whatever it takes."""
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return any(slowly(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
+    return bool(parts) and pattern[0] in ("*", parts[0]) and slowly(pattern[1:], parts[1:])
+
+
+@given(expressions, names)
+def test_matches_is_its_definition_for_expressions_that_zenoh_refuses_too(
+    expression: str, name: str
+) -> None:
+    assert keys.matches(expression, name) == slowly(expression.split("/"), name.split("/"))
+
+
+@pytest.mark.parametrize("wild", ["**/a", "**", "**/*"])
+def test_expression_of_many_wild_parts_is_answered_at_once(wild: str) -> None:
+    """Else it takes longer than anybody lives."""
+    expression = "/".join([wild] * 100 + ["end"])
+    assert not keys.matches(expression, "/".join(["a"] * 200))
+    assert keys.matches(expression, "/".join(["a"] * 200 + ["end"]))
+
+
 def test_every_key_is_a_key_expression_of_five_parts() -> None:
     for key in keys.ALL:
         assert len(key.on("tram-1").split("/")) == 5

@@ -1,8 +1,8 @@
 """Attitude: yaw, pitch and roll, the turns that they make, and the rates that belong to them.
 
-Rotations z, then y', then x'' (theory.md section 1): yaw counter-clockwise from east, pitch
-positive nose down, roll positive right side down. The mounting of an IMU, Ψ = roll, pitch, yaw of
-the case, is the same turn: `C_bv(Ψ)` is `C_vl` of these angles.
+Rotations z, then y', then x'' (docs/theory.md, section 1.2): yaw counter-clockwise from east,
+pitch positive nose down, roll positive right side down. The mounting of an IMU, Ψ = roll, pitch,
+yaw of the case, is the same turn: `C_bv(Ψ)` is `C_vl` of these angles.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def C_vl(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
-    """Turn of components in `l` into those in `v`, theory.md section 1.
+    """Turn of components in `l` into those in `v`; docs/theory.md, section 1.2.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def C_vl(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array
 def body_rates(
     roll_rad: Array, pitch_rad: Array, rates: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Angular rate in `v` of the rates of roll, pitch and yaw: the inverse of theory.md's.
+    """Angular rate in `v` of the rates of roll, pitch and yaw; docs/theory.md, section 1.3.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def body_rates(
 def euler_rates(
     roll_rad: Array, pitch_rad: Array, omega_v: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Rates of roll, pitch and yaw of an angular rate in `v`, theory.md section 1.
+    """Rates of roll, pitch and yaw of an angular rate in `v`; docs/theory.md, section 1.3.
 
     Returns
     -------

@@ -12,6 +12,8 @@ Towsley, "Estimation and removal of clock skew from network delay measurements",
 What stamps use is not that line but a chain of straight pieces that runs after it. A new line bends
 the chain at the newest arrival and never touches what lies before, so the map from device to host
 time is one continuous rising curve: stamps cannot jump or turn back, whoever asks and however late.
+
+Equations: docs/theory.md, section 3.7.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class Gnss(Struct, frozen=True, kw_only=True):
     delay_std_s: NotNegative = 0.02
     """How well `receiver_delay_s` is known; the filter estimates the rest."""
     error_tau_s: Positive = 20.0
-    """Correlation time of a fix's error while the antenna moves: 0.95 a second (theory.md section
-    3). Standing, the error only walks."""
+    """Correlation time of a fix's error while the antenna moves: 0.95 a second (docs/theory.md,
+    section 3.4). Standing, the error only walks."""
     error_floor_m: Positive = 0.005
     """Least deviation of a fix on each axis, whatever the receiver says."""
 
@@ -69,14 +69,14 @@ class Imu(Struct, frozen=True, kw_only=True):
     """The case from the vehicle's origin, p_vb_v."""
     mounting_deg: Vector = (0.0, 0.0, 0.0)
     """Ψ = roll, pitch, yaw of the case: C_bv turns vehicle components into sensor axes
-    (theory.md section 1)."""
+    (docs/theory.md, section 1.2)."""
     mounting_std_deg: NotNegative = 1.0
     """How well `mounting_deg` is known on each axis; the filter estimates the rest."""
     delay_std_s: NotNegative = 0.002
     """How well its stamps are known: the part of a found delay between fixes and IMU that is the
     IMU's, against `gnss.delay_std_s`."""
     gyro_noise_radps_rthz: Positive = 0.00011344
-    """N of the ADIS16465 (theory.md section 3), as are the next three."""
+    """N of the ADIS16465 in kaspar2023 (docs/theory.md, section 3.9), as are the next three."""
     gyro_walk_radps2_rthz: Positive = 0.00007563
     """K: random walk of the bias."""
     gyro_aliasing: NotNegative = 0.0
@@ -85,11 +85,11 @@ class Imu(Struct, frozen=True, kw_only=True):
     one that is read at 100 Hz in a car (docs/accuracy.md)."""
     accel_noise_mps2_rthz: Positive = 0.00022563
     accel_walk_mps3_rthz: Positive = 0.0000353
-    """B of theory.md section 3 walked within a second; its K is far below."""
+    """B of docs/theory.md, section 3.9 walked within a second; its K is far below."""
     gyro_bias_std_radps: Positive = 0.01
-    """Turn-on bias; 0.3 °/s in theory.md section 3."""
+    """Turn-on bias; 0.3 °/s in docs/theory.md, section 3.9."""
     accel_bias_std_mps2: Positive = 0.15
-    """Turn-on bias; 0.1 m/s² in theory.md section 3."""
+    """Turn-on bias; 0.1 m/s² in docs/theory.md, section 3.9."""
 
 
 class Signal(Struct, frozen=True, kw_only=True):
@@ -134,12 +134,12 @@ class Wheels(Struct, frozen=True, kw_only=True):
     """What the wheels' readings mean."""
 
     m_per_pulse: Positive = 0.00092038845
-    """2π·0.3 m / 2048 (theory.md section 2): the reference vehicle's wheel."""
+    """2π·0.3 m / 2048 (docs/theory.md, section 3.5): the reference vehicle's wheel."""
     track_m: Positive = 1.435
     """Between left and right wheel."""
     scale_std: Positive = 0.03
     """How well `m_per_pulse` or a wheel's speed is known: a worn tyre is 4 to 5 % smaller than a
-    new one (theory.md section 3: +12 and +16 mm of 300)."""
+    new one (docs/theory.md, section 3.5: +12 and +16 mm of 300)."""
     delay_s: Number = 0.0
     """From the instant that a reading describes until its arrival."""
     delay_std_s: NotNegative = 0.003
@@ -213,7 +213,7 @@ class Map(Struct, frozen=True, kw_only=True):
     """File that `tramstream map build` wrote."""
     std_m: Positive = 0.5
     """Deviation across of the mapped tracks from the rails, beside what the network itself states:
-    what whole stretches have in common. theory.md section 3."""
+    what whole stretches have in common. σ_map of kaspar2023 (docs/theory.md, section 11.3)."""
     correlation_m: Positive = 30.0
     """Length of such a stretch."""
 

@@ -58,9 +58,7 @@ class Key:
         return replace(self, source=source)
 
 
-def define(
-    path: str, type_: Any, rate_hz: float = 0.0, instant: str = "", doc: str = ""
-) -> Key:
+def define(path: str, type_: Any, rate_hz: float = 0.0, instant: str = "", doc: str = "") -> Key:
     """Make a key; whoever writes a processor makes its own so, beside the processor.
 
     Parameters
@@ -136,7 +134,9 @@ GNSS_ESF_INERTIAL = define(
 GNSS_ESF_ALIGNMENT = define(
     "raw/gnss/esf_alignment", gnss_pb2.EsfAlignment, 1, "epoch", "Receiver's own mounting angles"
 )
-GNSS_FRAME = define("raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole")
+GNSS_FRAME = define(
+    "raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole"
+)
 IMU_BYTES = define("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's bytes as read")
 IMU_BATCH = define("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
 ODO_FRAMES = define("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
@@ -149,12 +149,16 @@ TRUTH_STATE = define(
 SYNC_IMU = define(
     "sync/imu/mean", sync_pb2.ImuMean, 100, "window centre", "100 Hz inertial mean, now"
 )
-SYNC_FRAME = define("sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps")
+SYNC_FRAME = define(
+    "sync/fusion/frame", sync_pb2.SyncFrame, 100, "horizon", "All in order of stamps"
+)
 SYNC_GAP = define("sync/imu/gap", sync_pb2.SyncGap, 0, "gap's start", "Inertial samples missing")
 SYNC_LATE = define(
     "sync/fusion/late", sync_pb2.LateSample, 0, "late sample", "Came after the horizon"
 )
-SYNC_TICK = define("sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read")
+SYNC_TICK = define(
+    "sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read"
+)
 SYNC_SNAPSHOT = define("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
 
 # est: what filters say ------------------------------------------------------------------------
@@ -263,11 +267,25 @@ def matches(expression: str, key: str) -> bool:
 
 
 def _match(pattern: list[str], parts: list[str]) -> bool:
-    if not pattern:
-        return not parts
-    if pattern[0] == "**":
-        return any(_match(pattern[1:], parts[skip:]) for skip in range(len(parts) + 1))
-    return bool(parts) and pattern[0] in ("*", parts[0]) and _match(pattern[1:], parts[1:])
+    """Match word by word; a `**` takes one more where what follows does not fit.
+
+    Only the last `**` need be tried again, so a stranger's expression of many costs at most the
+    product of the two lengths.
+    """
+    at = place = 0
+    wild, begun = -1, 0
+    while place < len(parts):
+        if at < len(pattern) and pattern[at] == "**":
+            wild, begun = at, place
+            at += 1
+        elif at < len(pattern) and pattern[at] in ("*", parts[place]):
+            at, place = at + 1, place + 1
+        elif wild >= 0:
+            begun += 1
+            at, place = wild + 1, begun
+        else:
+            return False
+    return all(word == "**" for word in pattern[at:])
 
 
 def descriptor_set(type_: Any) -> FileDescriptorSet:

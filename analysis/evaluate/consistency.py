@@ -16,6 +16,8 @@ variance from ν = (n/τ)/4 degrees of freedom. So the quantiles are taken where
 degrees of freedom has the tail asked for, and short rides get the wide bounds that they deserve.
 Where there are several rides of a kind, τ is that of all of them together, about the mean of all.
 
+Equations: docs/theory.md, sections 13 and 14.
+
 References
 ----------
 Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation,

@@ -17,6 +17,8 @@ smaller: multipath and drifts of standing fixes, errors of lever arms, of scales
 and across axes. Rounding of pulses is taken for Gaussian noise of its variance; the unstable bias
 for a walk with its driving noise, as in the filter: from one stop to the next they are the same.
 
+Equations: docs/theory.md, section 15.
+
 References
 ----------
 P. Tichavský, C. H. Muravchik, A. Nehorai, "Posterior Cramér-Rao bounds for discrete-time nonlinear

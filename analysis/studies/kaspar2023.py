@@ -1,9 +1,9 @@
 """The simulated ride of kaspar2023 through localisation filters: the figures of the work.
 
-A ride is simulated in memory, resampled, and each frame of it given to a filter of every model, and
-held to the truth 20 times a second. The work does not say how the errors of its fixes hang
-together: beside our reading (0.95 per second, theory.md section 3) there are rides of white errors,
-and rides with one wheel, and with wheels that slip and slide.
+A ride is simulated in memory, resampled, and each frame of it given to a filter of every model,
+which is held to the truth twenty times a second. The work does not say how the errors of its fixes
+hang together: besides our reading (0.95 per second, docs/theory.md, section 3.4) there are rides
+with white errors, and others with one wheel, and with wheels that slip and slide.
 """
 
 from __future__ import annotations

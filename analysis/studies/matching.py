@@ -1,4 +1,4 @@
-"""Simulated rides on a track network through the localisation filter with its map (issue 4).
+"""Simulated rides on a track network through the localisation filter with its map.
 
 A ride follows an operator's line or a detour of it, on rails that are a little beside the map, with
 the sensors of scenario `matching`. It goes through resampler and filter in memory; ten times a
@@ -71,7 +71,7 @@ PLAIN, SLOW, GYRO = KINDS = ("plain", "slow", "gyro")
 houses, which nobody tells the filter; gyroscopes whose bias walks as that of the work."""
 SLOW_DECAY = 0.995
 GYRO_WALK_RADPS2_RTHZ = 0.00007563
-"""K of theory.md section 3."""
+"""K of kaspar2023 (docs/theory.md, section 3.9)."""
 _TRIES = 20
 """Detours are drawn anew where no tram can follow them."""
 _ALONG_EVERY = 10

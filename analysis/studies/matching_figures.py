@@ -32,7 +32,7 @@ TALLIES = (
 )  # fmt: skip
 
 WANTED = {TRACK: 0.995, SWITCHES[0]: 0.99}
-"""Of issue 4: least shares."""
+"""Least shares that were demanded (docs/accuracy.md, *Which track*)."""
 WANTED_OF_90 = (0.87, 0.93)
 """Of what is called 90 %, between these are right."""
 PERCENTILES = (50, 90, 99)

@@ -143,7 +143,7 @@ def velocity_l(content: Content, velocity: Velocity) -> Array:
 
 
 def attitude_rad(content: Content, attitude: Attitude) -> tuple[Array, Array, Array]:
-    """Roll, pitch and yaw of theory.md section 1; of yaw alone the others are empty."""
+    """Roll, pitch and yaw of docs/theory.md, section 1.2; of yaw alone the others are empty."""
     angles = columns(content, attitude.columns, UNITS["angle"][attitude.unit])
     yaw = angles[:, -1]
     roll, pitch = (angles[:, 0], angles[:, 1]) if angles.shape[1] == 3 else (yaw[:0], yaw[:0])

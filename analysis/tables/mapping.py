@@ -126,8 +126,8 @@ class Attitude(Struct, frozen=True, kw_only=True):
     """Roll, pitch, yaw of the vehicle, or one column with its yaw alone."""
 
     convention: Literal["flu", "frd"]
-    """flu: ours (theory: nose down is positive pitch, yaw counter-clockwise from east). frd: as in
-    aviation (nose up is positive pitch, heading clockwise from north)."""
+    """flu: ours (docs/theory.md, section 1.2: nose down is positive pitch, yaw counter-clockwise
+    from east). frd: as in aviation (nose up is positive pitch, heading clockwise from north)."""
     columns: Annotated[tuple[Column, ...], Meta(min_length=1, max_length=3)]
     unit: str
     dimension: ClassVar[str] = "angle"

@@ -28,7 +28,7 @@ PAYLOAD_LENGTH = 28
 """Stamp, sequence and burst: the bytes between length and CRC."""
 HEADER = SYNC + bytes((TYPE_BURST, PAYLOAD_LENGTH))
 
-# ADIS16465 data sheet, "Burst Read Function" (theory.md section 2).
+# ADIS16465 data sheet, "Burst Read Function" (docs/theory.md, section 3.2).
 FRAME = np.dtype(
     [
         ("header", "<u4"),

@@ -110,7 +110,7 @@ def riding(ride: Ride, p_vb_v: Vector = ORIGIN, mounting_deg: Vector = ORIGIN) -
 
 
 def still(time_s: Array) -> tuple[Array, Array]:
-    """Give what an IMU feels that stands level in Prague (theory.md section 1)."""
+    """Give what an IMU feels that stands level in Prague (docs/theory.md, section 1.4)."""
     f_b = np.zeros((len(time_s), 3))
     f_b[:, 2] = 9.81009
     return f_b, np.zeros((len(time_s), 3))

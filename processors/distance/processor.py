@@ -9,6 +9,8 @@ The wheels' path is *tied* to the estimate with its first reading, and anew when
 restarted bridge, a reset controller) or does not fit after a pause, when other wheels make it up,
 and after many refusals. What the estimate was wrong by at a tie stays in the distance for good: its
 variance is *settled*, kept beside the filter, whose P speaks of the path since the tie.
+
+Equations: docs/theory.md, section 9.2.
 """
 
 from __future__ import annotations
@@ -37,8 +39,8 @@ MIN_JUMP_S = 0.1
 GNSS_SPEED_FLOOR_MPS = 0.1
 """The receiver's own accuracy leaves out what is correlated in time."""
 QUANTISATION = 1.0 / 3.0
-"""Variance of a pulse count in pulses²: 1/12 in theory, 1/3 works better at low speed (theory.md
-section 2)."""
+"""Variance of a pulse count in pulses²: 1/12 in theory, 1/3 works better at low speed
+(docs/theory.md, section 3.5)."""
 MAX_PAUSE_S = 0.5
 """After a longer pause of the wheels, a path that does not fit has been counted without us."""
 MAX_STEP_S = 60.0

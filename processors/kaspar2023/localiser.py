@@ -14,6 +14,8 @@ anew with that fix.
 
 Left out: the lever arm of the IMU and the time between a wheel's reading and the frame (at most a
 step). A gap in the inertial data makes place, motion and heading unknown; what was learned stays.
+
+Equations: docs/theory.md, section 8.
 """
 
 from __future__ import annotations

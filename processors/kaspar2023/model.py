@@ -1,10 +1,10 @@
 """The 25 states of kaspar2023: how they move, what each sensor would measure, and the derivatives.
 
-State vectors are columns, shape (25, 1), as filterpy has them; angles are those of theory.md
-section 1 and their errors add: x_true = x + δx. Every function stands beside its derivative and is
-compiled; equation numbers are those of the work. Its slips are corrected:
+State vectors are columns, shape (25, 1), as filterpy has them; angles are those of
+docs/theory.md, section 1.2 and their errors add: x_true = x + δx. Every function stands beside its
+derivative and is compiled; equation numbers are those of the work. Its slips are corrected:
 
-- Euler rates (3.37) are those of theory.md section 1, not R·ω;
+- Euler rates (3.37) are those of docs/theory.md, section 1.3, not R·ω;
 - the right wheel of (3.26) has its own constant b_r;
 - the third gyroscope of (4.10) has its own z_b and z_k.
 
@@ -65,7 +65,7 @@ SIZE = len(Ix)
 # Prediction ---------------------------------------------------------------------------------------
 
 _ADIS16465 = ImuErrors()
-"""With B of theory.md section 3."""
+"""With B of docs/theory.md, section 3.9."""
 INSTABILITY_S = _ADIS16465.gyro_instability_time_s
 """T_b of z_b; the work gives none, and z_b never left 0."""
 INSTABILITIES = (
@@ -314,7 +314,7 @@ NEARLY_NOTHING = 1e-8
 
 
 def process_noise(accel_walk_mps3_rthz: float, gyro_walk_radps2_rthz: float) -> Array:
-    """Q of one step of `STEP_S`, shape (25, 25), after theory.md section 3.
+    """Q of one step of `STEP_S`, shape (25, 25); docs/theory.md, section 8.4.
 
     Parameters
     ----------

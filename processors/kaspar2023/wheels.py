@@ -23,7 +23,8 @@ from tramstream.proto.raw_pb2 import Odometry, WheelReading
 MESSAGE_S = 0.02
 """T_o: between two messages of the work's wheels, 50 Hz."""
 QUANTISATION = 1.0 / 3.0
-"""Variance of a count in pulses²: 1/12 of rounding; 1/3 works better (theory.md section 2)."""
+"""Variance of a count in pulses²: 1/12 of rounding; 1/3 works better (docs/theory.md, section
+3.5)."""
 INTERVAL_MEMORY = 0.005
 """Weight of a new interval in the mean."""
 MAX_PAUSE_S = 0.5

@@ -19,6 +19,8 @@ meant to go is asked of the direction of motion. A hypothesis knows the run befo
 before the rails branch it is divided, so that each part follows its own curve all the way.
 
 One block of memory holds a header and a row for each hypothesis.
+
+Equations: docs/theory.md, section 11.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 What comes out is put together here too: the likeliest run with its probability, others beside it,
 and, where no doubt is left, by how much the filter's estimate is off the rails.
+
+Equations: docs/theory.md, sections 11.5 and 11.6.
 """
 
 from __future__ import annotations

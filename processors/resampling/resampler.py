@@ -9,6 +9,8 @@ What comes after the horizon has passed its stamp is not used: `sync/fusion/late
 reprocessing treats it the same (`late_recorded`). While there is no inertial data, ticks move the
 horizon and frames have no mean. Except for lateness, the result does not depend on the order in
 which measurements and inertial batches come.
+
+Equations: docs/theory.md, section 3.8.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 The mean of kaspar2023 and the decimating low-pass of pusman2017 are the same thing with other taps.
 Window k is centred on device samples k·factor … k·factor + factor − 1, its *core*; symmetric taps
 make its stamp the core's centre, so no group delay is left.
+
+Equations: docs/theory.md, section 3.3.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ rests on. Running backwards gives the opposite; that is for others to tell.
 
 A fix that is far off makes a long way of no meaning. Neighbouring displacements of a vehicle differ
 by no more than it can accelerate; where they do, the sum begins anew.
+
+Equations: docs/theory.md, section 7.3.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """What goes into the model `tram` and what comes out, compiled: axes of the case, the origin.
 
 Inside, positions are the pivot's and inertial readings lie in the vehicle's axes.
+
+Equations: docs/theory.md, sections 5.2 and 5.5.
 """
 
 from __future__ import annotations

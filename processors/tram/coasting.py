@@ -4,6 +4,8 @@ Speed is left to itself and may change as that of a tram does. The heading turns
 yaw rate says where there is one; else nothing tells it but the wheels, by their difference. So its
 noise is as large as a tram turns in a curve where there are two, and what fixes can follow where
 there are not.
+
+Equations: docs/theory.md, section 7.7.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ SCALAR_GATE = 25.0
 """The same for scalars: 5 σ."""
 STANDING_STD_MPS = 0.002
 QUANTISATION = 1.0 / 3.0
-"""Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (theory.md 2)."""
+"""Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (docs/theory.md,
+section 3.5)."""
 READING_S = 0.01
 """What one inertial mean of the fusion horizon lasts."""
 LOG_2PI = math.log(2.0 * math.pi)

@@ -5,6 +5,8 @@ receiver's accuracy is its least size. Standing, the surroundings stand still to
 only walks, and a drift of the fixes does not move the vehicle. A fix that jumps is refused; if the
 jump stays, the error has jumped, not the vehicle; and if the error stays absurd over a good way,
 the vehicle was thought to be elsewhere and is taken where the fixes are.
+
+Equations: docs/theory.md, sections 6.3 and 7.6.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@
 *Trying*: the filter, set back to the departure, goes through the kept frames with a heading, once
 for either direction of travel where the wheels do not tell it; from then on both go on side by
 side, frame by frame, until curves or acceleration have told them apart.
+
+Equations: docs/theory.md, section 7.4.
 """
 
 from __future__ import annotations

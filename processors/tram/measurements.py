@@ -3,6 +3,8 @@
 The motion is that of `tram_kernels`; memory and parameters are laid out there. Each function
 returns what the filter reports: innovations, their variances, and the gate's verdict in the sign of
 the variance (negative: refused, nothing has changed).
+
+Equations: docs/theory.md, section 6.
 """
 
 from __future__ import annotations

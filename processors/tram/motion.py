@@ -12,8 +12,9 @@ false step of the pitch shows in it within a second, long before its gravity doe
 the pitch gyroscope goes into both together, as that of the vertical one into heading and paths.
 
 All functions work on one block of memory, so that a call from Python costs a fraction of a
-microsecond: x, P, two scratch areas (`views`). Equations are those of theory.md section 1, with the
-up direction of the place, u = [E/r, N/r, 1] in the tangent plane of the origin (r: Earth's radius).
+microsecond: x, P, two scratch areas (`views`). Equations are those of docs/theory.md, sections 1.3,
+1.4 and 5.2, with the up direction of the place, u = [E/r, N/r, 1] in the tangent plane of the
+origin (r: Earth's radius).
 """
 
 from __future__ import annotations

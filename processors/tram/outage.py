@@ -3,6 +3,8 @@
 A vehicle that stood when everything fell silent most likely stands there yet, with the heading that
 it had. So its navigation is kept (`Parked`), and taken up again when wheels that have not turned
 say so, or, where wheels cannot tell, when the fixes are where they were.
+
+Equations: docs/theory.md, section 7.7.
 """
 
 from __future__ import annotations

@@ -15,6 +15,8 @@ Anywhere in between, x − P λ is the smoothed state and P − P Λ P its covar
 filter's. Noise that was added, and known shifts of the state, are in P and x alone. All derivatives
 are the filter's own, taken at its estimates; nothing is linearised again.
 
+Equations: docs/theory.md, section 12.
+
 References
 ----------
 G. J. Bierman, "Fixed interval smoothing with discrete measurements", International Journal of

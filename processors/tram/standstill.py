@@ -6,6 +6,8 @@ they have not turned for a while, unless the filter or GNSS knows of a speed tha
 or a stuck counter would hide. Without wheels, the shaking is compared with what it was while the
 vehicle surely stood and surely ran, by GNSS speed; until both are known, or when they do not
 differ, only a speed estimate near zero with a steady heading counts.
+
+Equations: docs/theory.md, section 7.2.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """States and constants of the model `tram`, each with its one name.
 
-Angles are those of theory.md section 1 and their errors add: x_true = x + δx, the attitude error
-too, for a tram never stands on its nose. All axes are the vehicle's (frame v) unless said
+Angles are those of docs/theory.md, section 1.2 and their errors add: x_true = x + δx, the attitude
+error too, for a tram never stands on its nose. All axes are the vehicle's (frame v) unless said
 otherwise; inertial readings are turned into v by the configured mounting before they come here, and
 three small angles remain to be found.
 
 Left out because nothing observes them, or another state does the same: constant bias and random
-walk of one axis side by side (one state for their sum); the Earth's rotation, a fifteenth of the
+walk of one axis side by side (one state for their sum); the Earth's rotation, an eighth of the
 walk of the gyroscopes' bias within a minute. HEAVE and ACCEL_Z rest at 0 unless the vertical force
 is used.
 """

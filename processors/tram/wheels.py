@@ -4,6 +4,8 @@ A wheel's path is held against the filter's own, reading by reading, and never l
 reading does not fit, the wheel slips or slides: it tells nothing until it has gone the filter's way
 for a while. A wheel that begins to slip at walking pace fits reading by reading, and the filter
 takes it for a slope; but its innovations lean to one side.
+
+Equations: docs/theory.md, sections 6.5, 6.6 and 7.5.
 """
 
 from __future__ import annotations

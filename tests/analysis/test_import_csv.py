@@ -853,5 +853,5 @@ def test_smartloc_holds_odometry_fixes_and_reference(data_dir: Path, tmp_path: P
     assert [fix.satellites_used for fix in fixes] == written[:, 4].astype(int).tolist()
     errors = found_l[:, :2] - level.from_geodetic(degrees * [np.pi / 180, np.pi / 180, 1])[:, :2]
     rms_m = math.sqrt(np.mean(np.sum(errors**2, axis=1)))
-    assert rms_m == pytest.approx(34.6, abs=0.1)  # data/README.md
+    assert rms_m == pytest.approx(34.6, abs=0.1)  # ../shared/data/README.md
     assert fixes[0].horizontal_std_m == pytest.approx(rms_m, rel=0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,10 @@ from tramstream.config import Recorder
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.proto.resend_pb2 import ResendAnswer
-from tramstream.recorder.node import RecorderNode
+from tramstream.recorder.node import SENTENCES, UNSAID_S, RecorderNode
 from tramstream.recorder.reader import open_record
 from tramstream.transport.bus import LocalBus
+from tramstream.transport.sources import MOST_TOPICS
 
 FIX = keys.GNSS_FIX.on(VEHICLE)
 
@@ -131,3 +133,53 @@ def test_impossible_message_of_an_answer_is_left_out(
     recorder.run()
     assert ear.heard(keys.HEARTBEAT.at("recorder"))[-1].faults == 0
     assert fixes(tmp_path) == []
+
+
+def test_flood_of_made_up_keys_is_told_in_few_sentences_and_remembered_in_few_places(
+    tmp_path: Path,
+) -> None:
+    clock = ManualClock()
+    bus = LocalBus(clock)
+    ear, stranger, fix = Ear(bus), Sender(bus, session=0xBAD), Sender(bus, session=0xF1)
+    fix.announce("gnss")
+
+    def flood() -> None:
+        for number in range(2 * MOST_TOPICS):
+            stranger.send_bytes(keys.LOG.at(f"x{number}"), b"")
+            stranger.send_bytes(replace(keys.LOG, quantity=f"q{number}"), b"")
+            if number % 500 == 0:
+                recorder.drain()
+
+    recorder = node(
+        bus,
+        tmp_path,
+        Script(
+            flood,
+            lambda: recorder.drain(),
+            lambda: clock.advance(UNSAID_S),
+            lambda: fix.send(keys.GNSS_FIX, GnssFix()),
+        ),
+    )
+    recorder.run()
+    texts = [log.message for log in ear.heard(keys.LOG.at("recorder"))]
+    assert SENTENCES <= sum("not recorded" in text for text in texts) <= SENTENCES + 2
+    assert sum("more sentences about keys of strangers" in text for text in texts) in (1, 2)
+    assert fixes(tmp_path) == [1]
+    assert len(recorder._keys) <= MOST_TOPICS + 10
+    assert len(recorder._gaps._streams) <= MOST_TOPICS + 10
+    (ledger,) = recorder.ledgers()
+    assert ledger.balanced
+    assert ledger.dropped >= 2 * MOST_TOPICS
+
+
+def test_key_that_is_not_below_the_vehicles_prefix_is_not_said_to_be_recorded(
+    tmp_path: Path,
+) -> None:
+    bus = LocalBus(ManualClock())
+    ear = Ear(bus)
+    topic = f"tram/{VEHICLE}/raw/made/up"
+    recorder = node(bus, tmp_path, Script(lambda: bus.publish(topic, b"", "", 0)))
+    recorder.run()
+    texts = [log.message for log in ear.heard(keys.LOG.at("recorder"))]
+    assert any("not recorded" in text for text in texts)
+    assert not any("it is recorded as" in text for text in texts)

@@ -107,7 +107,7 @@ def test_angular_rate_is_the_turn_of_the_attitude(reverse: bool) -> None:
 
 
 def test_specific_force_in_a_canted_curve_on_a_slope_is_theorys() -> None:
-    # theory.md section 1: f_x = v̇ − g sinθ, f_y = v ω_z + g cosθ sinφ
+    # docs/theory.md, section 1.4: f_x = v̇ − g sinθ, f_y = v ω_z + g cosθ sinφ
     pitch, roll, speed, yaw_rate = -0.05, -0.03, 6.0, 0.08
     motion = motion_of(
         acceleration_mps2=0.4,
@@ -241,7 +241,7 @@ def test_means_of_a_second_are_as_noisy_at_any_rate() -> None:
 
 
 def allan_deviation(rate: Array, period_s: float, tau_s: float) -> Array:
-    """theory.md section 2, from integrated readings; over the columns of `rate`."""
+    """docs/theory.md, section 3.1, from integrated readings; over the columns of `rate`."""
     m = round(tau_s / period_s)
     angle = np.vstack([np.zeros((1, rate.shape[1])), np.cumsum(rate, axis=0)]) * period_s
     second = angle[2 * m :] - 2 * angle[m:-m] + angle[: -2 * m]

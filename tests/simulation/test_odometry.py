@@ -51,7 +51,8 @@ def test_mean_of_both_wheels_is_the_arc_length_to_one_pulse() -> None:
 
 
 def test_pulses_of_a_turning_wheel_follow_the_speed_difference() -> None:
-    # theory.md section 2: c = (v ∓ ω_z l/2) k, here per 0.02 s on a circle of 20 m at 1.4 m/s
+    # docs/theory.md, section 8.3: c = (v ∓ ω_z l/2) k, here per 0.02 s on a circle of 20 m at
+    # 1.4 m/s
     speed, radius, step_s = 1.4, 20.0, 0.02
     time = np.arange(0.0, 10.0, step_s)
     motion = motion_of(

@@ -1,4 +1,5 @@
-"""Scenario files: the built-in ones say what theory.md says, and bad ones are refused."""
+"""Scenario files: the built-in ones say what docs/theory.md, section 3.9 says, and bad ones are
+refused."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ def test_every_work_has_its_scenario_and_city_and_matching_are_ours() -> None:
 
 
 def test_kaspar2023_is_the_table_of_the_work() -> None:
-    # theory.md section 3, simulation of the reference
+    # docs/theory.md, section 3.9
     chosen = load("kaspar2023")
     driver = chosen.driver
     assert (driver.speed_mps, driver.acceleration_mps2) == (15.0, 0.5)
@@ -60,7 +61,7 @@ def test_kaspar2023_takes_67_minutes_on_the_built_in_line() -> None:
 
 
 def test_melenovsky2023_is_the_scenario_of_the_work() -> None:
-    # theory.md section 4, scenario
+    # docs/theory.md, section 3.9
     chosen = load("melenovsky2023")
     assert chosen.imu is not None
     assert chosen.gnss is not None
@@ -73,7 +74,7 @@ def test_melenovsky2023_is_the_scenario_of_the_work() -> None:
 
 
 def test_matching_is_the_scenario_of_the_issue() -> None:
-    # issue 4: sigma 2.5 m correlated, jumps to 30 m, stops of 20 to 60 s, any number of lines
+    # docs/accuracy.md, *Which track*: σ 2.5 m correlated, jumps to 30 m, stops of 20 to 60 s
     chosen = load("matching")
     driver, gnss = chosen.driver, chosen.gnss
     assert (driver.dwell_s, driver.dwell_max_s) == (20.0, 60.0)

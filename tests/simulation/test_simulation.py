@@ -300,8 +300,8 @@ def test_truth_messages_are_the_truth() -> None:
 
 
 def test_raw_positions_of_kaspar2023_are_as_good_as_the_works() -> None:
-    # theory.md section 3: raw horizontal P90 about 1.07 m. Correlated over 20 s, 4,000 fixes are
-    # about 100 independent ones: P90 of 100 draws deviates by 6 %.
+    # docs/theory.md, section 3.4: raw horizontal P90 about 1.07 m. Correlated over 20 s, 4,000
+    # fixes are about 100 independent ones: P90 of 100 draws deviates by 6 %.
     chosen = msgspec.structs.replace(scenario.load("kaspar2023"), imu=None, wheels=None)
     errors = []
     for seed in range(3):

@@ -19,10 +19,11 @@ from tramstream import config_file, keys, plugins
 from tramstream.config import Bus, Gnss, Imu, Simulator, Vehicle
 from tramstream.errors import BusError, NodeError
 from tramstream.live import registry
-from tramstream.supervision import roster, supervisor
+from tramstream.supervision import hearing, roster, supervisor
+from tramstream.supervision.child import BACKOFF_MAX_S, GOOD_RUN_S
 from tramstream.supervision.process import Running
 from tramstream.supervision.roster import Proc
-from tramstream.supervision.supervisor import BACKOFF_MAX_S, GOOD_RUN_S, Plan, Supervisor
+from tramstream.supervision.supervisor import Plan, Supervisor
 from tramstream.transport.bus import LocalBus
 
 TURN_S = 0.1
@@ -35,9 +36,10 @@ class FakeProcess(Running):
         self.name = name
         self.pid = pid
         self.ends_with: int | None = None
+        self.ends_when_told = 0
         self.frozen = False
+        self.stubborn = stubborn
         self._log = log
-        self._stubborn = stubborn
 
     def ended(self, timeout_s: float = 0.0) -> bool:
         return self.ends_with is not None
@@ -46,9 +48,9 @@ class FakeProcess(Running):
         return self.ends_with
 
     def send(self, number: signal.Signals) -> None:
-        if number == signal.SIGKILL or not (self.frozen or self._stubborn):
+        if number == signal.SIGKILL or not (self.frozen or self.stubborn):
             self._log.append(f"{self.name} {number.name}")
-            self.ends_with = -int(number)
+            self.ends_with = -9 if number == signal.SIGKILL else self.ends_when_told
 
     def close(self) -> None:
         pass
@@ -73,6 +75,9 @@ class Scene:
         self.said: list[str] = []
         self.bus = LocalBus(ManualClock())
         self.ends_at_start: set[str] = set()
+        self.deaf: set[FakeProcess] = set()
+        """Recorders that do not answer."""
+        self.bus.answer(keys.farewell("t1"), self._answer)
         self.plan = Plan(self.vehicle, Path("t.toml"), successor=("run", roster.REST))
         self.supervisor = Supervisor(self.plan, self.said.append, self._start, lambda: self.now_s)
 
@@ -86,10 +91,26 @@ class Scene:
             self.bus.announce(keys.alive("t1", name))
         return process
 
+    def _answer(self, topic: str) -> bytes | None:
+        """What the recorder says when it is asked whether it hears."""
+        recorder = self.processes["recorder"]
+        if not (recorder.ended() or recorder.frozen or recorder in self.deaf):
+            return b""
+        self.now_s += hearing.ASK_S
+        return None
+
     def begin(self) -> None:
         self.supervisor.claim()
         self.supervisor.join(lambda: self.bus)
         self.supervisor.start(self.bus)
+
+    def stop(self) -> None:
+        """End the nodes as at the end of a run, with time passing where it is waited."""
+
+        def each() -> None:
+            self.now_s += TURN_S
+
+        self.supervisor.stop_nodes(self.bus, each)
 
     def go_on(self, seconds: float, *silent: str) -> None:
         """Watch for so long, with heartbeats of all that live and are not `silent`."""
@@ -148,6 +169,102 @@ def test_stubborn_node_is_killed_at_the_end(scene: Scene) -> None:
     scene.supervisor.stop_nodes(None)
     assert "imu SIGKILL" in scene.signals
     assert any("node imu does not end" in line for line in scene.said)
+
+
+def test_recorder_that_hears_is_ended_last_and_no_other_is_started(scene: Scene) -> None:
+    scene.begin()
+    scene.stop()
+    assert scene.signals[-1] == "recorder SIGTERM"
+    assert len(scene.starts_of("recorder")) == 1
+    assert scene.supervisor.unheard == ""
+
+
+@pytest.mark.parametrize("how", ["frozen", "dead"])
+def test_recorder_that_does_not_hear_is_replaced_before_the_first_publisher_ends(
+    scene: Scene, how: str
+) -> None:
+    scene.begin()
+    first = scene.processes["recorder"]
+    if how == "dead":
+        first.ends_with = -9
+    else:
+        first.frozen = True
+    others = set(scene.processes) - {"router", "recorder"}
+    scene.stop()
+    assert len(scene.starts_of("recorder")) == 2
+    kills = ["recorder SIGKILL"] if how == "frozen" else []
+    assert scene.signals[: len(kills)] == kills
+    assert sorted(scene.signals[len(kills) : -1]) == sorted(f"{name} SIGTERM" for name in others)
+    assert scene.signals[-1] == "recorder SIGTERM"
+    assert scene.supervisor.unheard == ""
+
+
+def test_question_that_a_full_link_drops_is_put_again(scene: Scene) -> None:
+    scene.begin()
+    first = scene.processes["recorder"]
+    scene.deaf.add(first)
+    answer, asked = scene._answer, []
+
+    def late(topic: str) -> bytes | None:
+        asked.append(topic)
+        if len(asked) == hearing.ASKED:
+            scene.deaf.clear()
+        return answer(topic)
+
+    scene.bus._answers.clear()
+    scene.bus.answer(keys.farewell("t1"), late)
+    scene.stop()
+    assert scene.processes["recorder"] is first
+    assert "recorder SIGKILL" not in scene.signals
+
+
+def test_recorder_that_cannot_be_started_is_said_and_the_nodes_end(scene: Scene) -> None:
+    scene.begin()
+    scene.processes["recorder"].ends_with = 1
+    scene.ends_at_start.add("recorder")
+    scene.stop()
+    assert "node recorder ended with status 2 at its start" in scene.said
+    assert "imu SIGTERM" in scene.signals
+    assert scene.supervisor.unheard == "node recorder did not hear the others end"
+
+
+def test_recorder_that_answers_while_the_bus_is_away_is_not_killed(scene: Scene) -> None:
+    scene.begin()
+    scene.deaf.add(scene.processes["recorder"])
+    scene.bus._announced.clear()  # nobody is seen on the bus
+    scene.processes["router"].frozen = True
+
+    scene.stop()
+    assert "recorder SIGKILL" not in scene.signals
+    assert scene.supervisor.unheard
+
+
+@pytest.mark.parametrize("how", ["stubborn", "gone", "failing"])
+def test_recorder_that_does_not_end_in_order_is_said(scene: Scene, how: str) -> None:
+    scene.begin()
+    recorder = scene.processes["recorder"]
+    if how == "stubborn":
+        recorder.stubborn = True
+    elif how == "failing":
+        recorder.ends_when_told = 1
+    else:
+        send = scene.processes["imu"].send
+
+        def last_breath(number: signal.Signals) -> None:
+            send(number)
+            recorder.ends_with = -9
+
+        scene.processes["imu"].send = last_breath  # type: ignore[method-assign]
+    scene.stop()
+    assert (
+        scene.supervisor.unheard
+        == {
+            "stubborn": "node recorder ended with status -9 at the end",
+            "gone": "node recorder was gone at the end",
+            "failing": "node recorder ended with status 1 at the end",
+        }[how]
+    )
+    assert any("what was published last may be missing" in line for line in scene.said)
 
 
 def test_node_that_ends_at_its_start_ends_the_run_with_its_status(scene: Scene) -> None:

@@ -6,7 +6,7 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted import VEHICLE, ManualClock
+from scripted import VEHICLE, ManualClock, Sender
 
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
@@ -25,6 +25,7 @@ class Scene:
         self.beats: list[tuple[str, int]] = []
         self.lost = 0
         self.now_s = 0.0
+        self.bus.announce(keys.alive(VEHICLE, "recorder"))
         self.voice = Voice(self.bus, VEHICLE, self.said.append, self, lambda: self.now_s)
 
     def heard(self, name: str, pid: int) -> None:
@@ -106,3 +107,45 @@ def test_losses_of_the_recorder_are_losses_of_the_record(
         scene.put(keys.LOSS.at(node), loss.SerializeToString())
     scene.voice.speak()
     assert scene.lost == counted
+
+
+def test_losses_that_a_stranger_tells_in_the_recorders_name_are_not_believed() -> None:
+    scene = Scene()
+    stranger = Sender(scene.bus, session=0xBAD)
+    for _ in range(200):
+        stranger.send(keys.LOSS.at("recorder"), Loss(consumer="recorder", key="k", count=1))
+    scene.put(
+        keys.LOSS.at("recorder"), Loss(consumer="recorder", key="k", count=4).SerializeToString()
+    )
+    scene.voice.speak()
+    assert scene.lost == 4
+    assert scene.voice.strange == 200
+    assert len(scene.said) == 1
+    assert "session 00000bad tells of losses in the recorder's name" in scene.said[0]
+
+
+def test_stranger_that_is_announced_as_a_recorder_later_is_not_believed_either() -> None:
+    scene = Scene()
+    stranger = Sender(scene.bus, session=0xBAD)
+    scene.bus.clock.advance(1.0)  # type: ignore[attr-defined]
+    stranger.announce("recorder")
+    stranger.send(keys.LOSS.at("recorder"), Loss(consumer="recorder", key="k", count=1))
+    scene.voice.speak()
+    assert scene.lost == 0
+
+
+def test_last_words_of_a_recorder_that_is_gone_and_of_its_successor_count() -> None:
+    scene = Scene()
+    scene.voice.speak()
+    scene.bus._announced.clear()
+    successor = Sender(scene.bus, session=0xC0DE)
+    scene.put(
+        keys.LOSS.at("recorder"), Loss(consumer="recorder", key="k", count=1).SerializeToString()
+    )
+    scene.now_s += 1.0
+    scene.voice.speak()
+    successor.announce("recorder")
+    successor.send(keys.LOSS.at("recorder"), Loss(consumer="recorder", key="k", count=2))
+    scene.now_s += 1.0
+    scene.voice.speak()
+    assert scene.lost == 3

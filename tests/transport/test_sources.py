@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import START_NS, VEHICLE
@@ -10,7 +11,15 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.transport import tokens
 from tramstream.transport.bus import Envelope
-from tramstream.transport.sources import HELD_BYTES, MOST_RIVALS, OTHERS, QUIET_S, WAIT_S, Sources
+from tramstream.transport.sources import (
+    HELD_BYTES,
+    MOST_RIVALS,
+    MOST_TOPICS,
+    OTHERS,
+    QUIET_S,
+    WAIT_S,
+    Sources,
+)
 from tramstream.transport.tokens import Announced
 
 TOPIC = keys.GNSS_FIX.on(VEHICLE)
@@ -219,6 +228,42 @@ def test_stranger_with_ever_new_sessions_gets_one_topic_and_a_node_is_still_used
     world.now_ns += 200 * MS
     world.send(SECOND)
     assert world.used_of(SECOND) == [1]
+
+
+@pytest.mark.parametrize("since_ns", [0, START_NS - 1])
+def test_token_that_says_it_is_older_than_the_reader_knows_takes_no_key_over(since_ns: int) -> None:
+    world = World()
+    world.announce(FIRST)
+    world.sources.know(world.now_ns)  # as a node does at its start
+    world.wait(1.0)
+    world.send(FIRST)
+    world.wait(1.0)
+    world.since_ns[SECOND] = since_ns
+    for _ in range(10):
+        world.send(SECOND)
+        world.wait(0.2)
+        world.send(FIRST)
+        world.wait(0.2)
+    assert world.used_of(FIRST) == list(range(1, 12))
+    assert world.apart_of(SECOND) == list(range(1, 11))
+
+
+def test_topics_that_are_made_up_are_not_remembered_beyond_a_limit_and_a_nodes_are() -> None:
+    world = World()
+    sources = world.sources
+
+    def judge(number: int, session: int) -> str:
+        topic = f"{TOPIC}{number}"
+        envelope = Envelope(topic, b"", "", world.now_ns, 1, session, world.now_ns)
+        return sources.judge(envelope, world.now_ns)[0].topic
+
+    for number in range(MOST_TOPICS + 500):
+        judge(number, SECOND)
+    assert len(sources.by_topic) == MOST_TOPICS
+    assert judge(9999, SECOND) == keys.apart(f"{TOPIC}9999", OTHERS)
+    world.announce(FIRST)
+    world.now_ns += S
+    assert judge(10_000, FIRST) == f"{TOPIC}10000"
 
 
 def test_what_is_held_is_bounded() -> None:

@@ -7,6 +7,8 @@ that the caller owns, keep P symmetric bit by bit, and are held to filterpy's de
 `update` by a test.
 
 numba compiles each once a machine; where it keeps the machine code, `machine_code` tells.
+
+Equations: docs/theory.md, section 4.
 """
 
 from __future__ import annotations

@@ -72,8 +72,8 @@ VALUES = COVARIANCE + 49
 class Estimate:
     """The vehicle's motion at one instant; nobody changes it.
 
-    Position is that of the vehicle's origin in `level`; roll, pitch and yaw are those of theory.md
-    section 1 against that same frame.
+    Position is that of the vehicle's origin in `level`; roll, pitch and yaw are those of
+    docs/theory.md, section 1.2 against that same frame.
     """
 
     stamp_ns: int

@@ -6,6 +6,8 @@ Against the exact one that is good to 0.1 mm.
 
 All numbers but the place itself are published with the 24 bits of a single, about seven digits: the
 other 29 bits of a double are noise that no compression takes out of a record, 60 MB an hour.
+
+Equations: docs/theory.md, sections 2.2 and 13.
 """
 
 from __future__ import annotations

@@ -248,8 +248,8 @@ BUILT_IN_PLAN = """
 | 50 R24/90 40 L90/45 40 L55/65 60
 |
 """
-"""A line of the reference's kind (Prague line 7, theory.md section 3), invented: 27 stops, about
-12 km, curves of 20 to 1000 m. Departure, curve and second stop fall into the first minute."""
+"""A line of the reference's kind (Prague line 7; docs/theory.md, section 3.9), invented: 27 stops,
+about 12 km, curves of 20 to 1000 m. Departure, curve and second stop fall into the first minute."""
 BUILT_IN_GRADES_PCT = (
     *(0.0, 0.8, 1.5, -0.6, 2.4, 4.0, 7.0, 1.2, -2.8, -5.5, -1.0, 0.4, 3.3),
     *(-4.2, -1.8, 0.0, 5.2, 2.1, -3.6, -6.4, -0.9, 1.7, 4.8, -2.3, -4.4, 0.6),

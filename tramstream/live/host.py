@@ -24,10 +24,10 @@ from tramstream.keys import Key
 from tramstream.live import snapshots
 from tramstream.live.node import Node
 from tramstream.live.ports import Port, PortReader
+from tramstream.live.stamps import MAX_AHEAD_NS, ahead_ns
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth, Loss
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
-from tramstream.live.stamps import MAX_AHEAD_NS, ahead_ns
 from tramstream.transport.bus import Bus, Envelope
 
 TICK_S = 0.1

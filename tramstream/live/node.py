@@ -124,6 +124,7 @@ class Node(ABC):
         self.bus.announce(keys.alive(self.vehicle, self.name))
         self.every(HEARTBEAT_S, self.heartbeat)
         if subscriptions:
+            self.sources.know(self.clock.now_ns())
             self.every(ASK_S, self.settle_sources)
         try:
             self.begin()

@@ -10,6 +10,8 @@ solutions for drawn errors of terrain and grade, and holds as far as these figur
 Tiles give heights above the geoid (EGM96); `geoid_m` is added to have them above the ellipsoid. It
 differs by about a metre over a city's 50 km.
 
+Equations: docs/theory.md, section 10.5.
+
 References
 ----------
 T. G. Farr et al., "The Shuttle Radar Topography Mission", Reviews of Geophysics 45 (2007) RG2004:

@@ -17,6 +17,8 @@ the errors of curves at nodes that they were fitted without are as large as stat
 What is common to all nodes around, such as a shift of the aerial image they were drawn from, is not
 in it: no curve through them could show it.
 
+Equations: docs/theory.md, sections 10.1 and 10.2.
+
 References
 ----------
 G. Wahba, "Improper priors, spline smoothing and the problem of guarding against model errors in

@@ -1,6 +1,6 @@
 """What an IMU on a ride measures: specific force and angular rate of its case, in counts.
 
-theory.md section 1 gives the truth and section 2 the errors of an axis:
+docs/theory.md, section 1.4 gives the truth, section 3.1 the errors of an axis:
 (1 + scale)·truth + bias + z_b + z_k + white noise, rounded to counts. Bias instability z_b and
 random walk z_k are drawn ten times a second and run straight between: white noise hides what is
 faster. The Earth's rotation and the change of gravity with height (3e-6 m/s² a metre) are left out.
@@ -34,7 +34,7 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 def inertial(motion: Motion, gravity_mps2: float, p_va_v: Vector = ORIGIN) -> tuple[Array, Array]:
     """Give specific force and angular rate of a point fixed to the vehicle, resolved in `v`.
 
-    theory.md section 1: f = a_v + C_vl [0 0 g]ᵀ with a_v = (v̇, v ω_z, −v ω_y), which is the
+    docs/theory.md, section 1.4: f = a_v + C_vl [0 0 g]ᵀ with a_v = (v̇, v ω_z, −v ω_y), which is the
     acceleration of a point that moves along x only; away from the origin ω̇ × r + ω × (ω × r) more.
 
     Parameters
@@ -90,7 +90,7 @@ def _angular_acceleration_v(motion: Motion) -> Array:
 
 
 class ImuErrors(Struct, frozen=True, kw_only=True):
-    """Errors of the inertial axes; theory.md section 3 unless said otherwise."""
+    """Errors of the inertial axes; docs/theory.md, section 3.9 unless said otherwise."""
 
     gyro_bias_radps: Vector = (0.0052359, 0.0052359, 0.0052359)
     gyro_noise_radps_rthz: NotNegative = 0.00011344
@@ -106,7 +106,7 @@ class ImuErrors(Struct, frozen=True, kw_only=True):
     gyro_cross_axis: float = 0.0
     """Share of each of the other two axes that an axis reads."""
     gyro_scale_per_degc: float = 0.0001
-    """Change of scale a degree; 0.01 % in theory.md section 3."""
+    """Change of scale a degree; 0.01 % in docs/theory.md, section 3.9."""
     gyro_bias_radps_per_degc: float = 0.0
     accel_bias_mps2: Vector = (0.1, 0.1, 0.1)
     accel_noise_mps2_rthz: NotNegative = 0.00022563
@@ -126,7 +126,8 @@ class ImuErrors(Struct, frozen=True, kw_only=True):
 
 
 class ImuScales(Struct, frozen=True, kw_only=True):
-    """Unit of one count and where counts end; the defaults are the ADIS16465-1's (theory.md 2)."""
+    """Unit of one count and where counts end; the defaults are the ADIS16465-1's
+    (docs/theory.md, section 3.2)."""
 
     gyro_radps: Positive = math.radians(0.00625)
     accel_mps2: Positive = 0.25e-3 * STANDARD_GRAVITY_MPS2
@@ -145,7 +146,7 @@ class ImuCounts(NamedTuple):
 
 
 class Imu:
-    """Inertial sensor with the errors of theory.md section 2, rounded and saturated."""
+    """Inertial sensor with the errors of docs/theory.md, section 3.1, rounded and saturated."""
 
     def __init__(
         self,
@@ -231,7 +232,7 @@ def _response(scale: Vector, cross_axis: float) -> Array:
 
 
 def instability_density(instability: float, time_s: float) -> float:
-    """S_b of theory.md section 2: power density of what drives the Gauss-Markov process."""
+    """S_b of docs/theory.md, section 3.1: density of what drives the Gauss-Markov process."""
     return 2 * instability**2 * math.log(2) / (math.pi * 0.4365**2 * time_s)
 
 

@@ -27,7 +27,7 @@ GPS_MINUS_UNIX_S = LEAP_SECONDS - GPS_EPOCH_UNIX_S
 
 
 class GnssErrors(Struct, frozen=True, kw_only=True):
-    """Errors of the fixes; theory.md section 3 and its reading of the reference."""
+    """Errors of the fixes; docs/theory.md, section 3.4 with its reading of the reference."""
 
     horizontal_std_m: NotNegative = 0.5
     """Stationary, per axis."""
@@ -122,7 +122,7 @@ class Gnss:
 def antenna_motion(p_l: Array, motion: Motion, p_va_v: Array) -> tuple[Array, Array]:
     """Give position and velocity in `l` of a point fixed to the vehicle.
 
-    p_a = p + C_lv p_va, v_a = C_lv (v + ω × p_va); theory.md section 1.
+    p_a = p + C_lv p_va, v_a = C_lv (v + ω × p_va); docs/theory.md, section 1.4.
 
     Returns
     -------

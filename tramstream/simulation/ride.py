@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 class Motion(NamedTuple):
     """Where the vehicle's origin is on the line, and how it moves; one row an instant.
 
-    Speed and acceleration are along x of the vehicle, attitude is that of theory.md section 1.
+    Speed and acceleration are along x of the vehicle, attitude is that of docs/theory.md,
+    section 1.2.
     """
 
     arc_length_m: Array

@@ -31,7 +31,7 @@ WORTH_M = 25.0
 
 
 class Limits(Struct, frozen=True, kw_only=True):
-    """How the driver drives: theory.md section 3, simulation of the reference."""
+    """How the driver drives: docs/theory.md, section 3.9."""
 
     speed_mps: Positive = 15.0
     acceleration_mps2: Positive = 0.5

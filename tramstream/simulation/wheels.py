@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Axle(Struct, frozen=True, kw_only=True):
-    """The two measured wheels and their encoders: theory.md sections 2 and 3."""
+    """The two measured wheels and their encoders: docs/theory.md, sections 3.5 and 3.9."""
 
     pulses_per_turn: Count = 2048
     radius_m: Positive = 0.3
@@ -92,7 +92,7 @@ class Wheels:
 
 @dataclass(frozen=True, slots=True)
 class Resistance:
-    """Longitudinal model of chladek2023 (theory.md section 5)."""
+    """Longitudinal model of chladek2023 (docs/theory.md, section 3.6)."""
 
     mass_kg: float = 150_000.0
     drag_coefficient: float = 1.05

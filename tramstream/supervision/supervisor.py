@@ -22,39 +22,19 @@ from tramstream.config import Vehicle
 from tramstream.errors import BusError, NodeError
 from tramstream.live import registry, router
 from tramstream.supervision import roster
+from tramstream.supervision.child import Child
+from tramstream.supervision.hearing import PATIENCE_S, READY_S, hears
 from tramstream.supervision.heartbeats import FROZEN_S, Heartbeats, Silence
 from tramstream.supervision.process import Forks, Running
 from tramstream.supervision.roster import Proc
 from tramstream.transport.bus import Bus
 
-BACKOFF_FIRST_S = 0.2
-BACKOFF_ROUTER_S = 0.0
-"""Nobody hears anybody while the router is away: the first time it comes back at once."""
-BACKOFF_MAX_S = 10.0
 START_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 10.0
 STOP_RECORDER_S = 40.0
 """The recorder asks publishers for what is missing, and a slow disk takes what waits in memory."""
 LAST_WORD_S = 2.0
-GOOD_RUN_S = 30.0
-"""Who lived so long is started again at once."""
 POLL_S = 0.02
-
-
-@dataclass
-class Child:
-    """One node's process."""
-
-    name: str
-    running: Running | None = None
-    started_s: float = 0.0
-    starts: int = 0
-    backoff_s: float = BACKOFF_FIRST_S
-    again_s: float = 0.0
-
-    @property
-    def first_backoff_s(self) -> float:
-        return BACKOFF_ROUTER_S if self.name == router.NAME else BACKOFF_FIRST_S
 
 
 @dataclass(frozen=True)
@@ -95,6 +75,8 @@ class Supervisor:
         self.plan = plan
         self.took_over = False
         """Whether there were nodes of a supervisor before this one."""
+        self.unheard = ""
+        """One sentence if the recorder did not end in order: its last messages may be missing."""
         self._runtime_dir = plan.vehicle.runtime_dir
         self._say = say
         self._start = start or Forks(plan.config_path, self._runtime_dir).start
@@ -109,8 +91,6 @@ class Supervisor:
             configuration=config_file.text_digest(config_file.to_json(plan.vehicle)),
         )
         self.children = [Child(name) for name in registry.node_names(plan.vehicle)]
-        for child in self.children:
-            child.backoff_s = child.first_backoff_s
 
     # Beginning -----------------------------------------------------------------------------------
     def claim(self) -> None:
@@ -182,8 +162,7 @@ class Supervisor:
             if child.running.ended(POLL_S):
                 if not self.took_over:
                     raise self._ended_at_start(child, child.running)
-                self._bury(child, child.running)
-                self._spawn(child)
+                self._replace(child)
             elif self.took_over and now_s - since_s > FROZEN_S:
                 self._say(f"node {child.name} does not answer; killing it")
                 child.running.send(signal.SIGKILL)
@@ -256,15 +235,13 @@ class Supervisor:
                 self._spawn(child)
             return
         if not running.ended():
-            if now_s - child.started_s > GOOD_RUN_S:
-                child.backoff_s = child.first_backoff_s
+            child.lived_until(now_s)
             return
         status = running.status()
         self._bury(child, running)
-        child.again_s = now_s + child.backoff_s
         how = "" if status is None else f" with status {status}"
-        self._say(f"node {child.name} ended{how}; starting it again in {child.backoff_s:g} s")
-        child.backoff_s = min(max(2 * child.backoff_s, BACKOFF_FIRST_S), BACKOFF_MAX_S)
+        pause_s = child.died(now_s)
+        self._say(f"node {child.name} ended{how}; starting it again in {pause_s:g} s")
         if now_s >= child.again_s:
             self._spawn(child)
 
@@ -282,20 +259,68 @@ class Supervisor:
     def stop_nodes(self, bus: Bus | None, each: Callable[[], None] = lambda: None) -> None:
         """End all nodes but the router: the last started first, the recorder last.
 
-        With the bus, wait for the recorder's last words; `each` is called while waiting.
+        With the bus, see to it that a recorder hears the others end, and wait for its last words;
+        `each` is called while waiting.
         """
         self._roster = msgspec.structs.replace(self._roster, ending=True)
         self._save()
-        for child in reversed(self.children[1:]):
+        if bus is not None and any(child.lives for child in self.children[2:]):
+            self._have_them_heard(bus, each)
+        for child in reversed(self.children[2:]):
             self._stop(child)
+            each()
+        self._stop_recorder(self.children[1])
         if bus is None:
             return
         # Who has left the bus in the router's eyes has been heard to the end by then.
-        token = keys.alive(self.plan.vehicle.vehicle, self.children[1].name)
         end_s = self._now_s() + LAST_WORD_S
+        token = keys.alive(self.plan.vehicle.vehicle, self.children[1].name)
         while bus.alive(token) and self._now_s() < end_s:
             each()
         each()
+
+    def _have_them_heard(self, bus: Bus, each: Callable[[], None]) -> None:
+        """See to it that a recorder hears and asks the others for what none has."""
+        recorder, vehicle = self.children[1], self.plan.vehicle.vehicle
+
+        def wait(seconds: float) -> bool:
+            self._look_after(self.children[0], self._now_s())
+            each()
+            return recorder.running is not None and not recorder.running.ended(seconds)
+
+        try:
+            for _ in range(2):
+                patience_s = PATIENCE_S
+                if not recorder.lives:
+                    self._replace(recorder)
+                    self._await_alive(bus, recorder, each)
+                    patience_s = READY_S
+                if hears(bus, vehicle, wait, patience_s, self._now_s):
+                    return
+                if recorder.running is not None and recorder.lives:
+                    if not bus.alive(keys.alive(vehicle, keys.ANY_SOURCE)):
+                        break  # it is the bus that does not carry
+                    self._say(f"node {recorder.name} does not answer; killing it")
+                    recorder.running.send(signal.SIGKILL)
+                    recorder.running.ended(STOP_TIMEOUT_S)
+        except NodeError as error:
+            self._say(str(error))
+        self.unheard = f"node {recorder.name} did not hear the others end"
+
+    def _replace(self, child: Child) -> None:
+        if child.running is not None:
+            self._bury(child, child.running)
+        self._spawn(child)
+
+    def _stop_recorder(self, recorder: Child) -> None:
+        """End it behind all others; take note if what it had in memory may be lost."""
+        running, recorder.running = recorder.running, None
+        if running is None:
+            return
+        gone = "was gone" if running.ended() else ""
+        if how := self._end(recorder.name, running) or gone:
+            self.unheard = f"node {recorder.name} {how} at the end"
+            self._say(f"{self.unheard}; what was published last may be missing in its record")
 
     def stop_router(self) -> None:
         """End the router, and give the supervisor's place away."""
@@ -310,15 +335,17 @@ class Supervisor:
         if running is not None:
             self._end(child.name, running)
 
-    def _end(self, name: str, running: Running) -> None:
+    def _end(self, name: str, running: Running) -> str:
+        """End a process; how it ended if not in order."""
         running.send(signal.SIGTERM)
         recorder = self.children[1].name
         if not running.ended(STOP_RECORDER_S if name == recorder else STOP_TIMEOUT_S):
             self._say(f"node {name} does not end; killing it")
             running.send(signal.SIGKILL)
             running.ended(STOP_TIMEOUT_S)
-        running.status()
+        status = running.status()
         running.close()
+        return f"ended with status {status}" if status else ""
 
     # Processes -----------------------------------------------------------------------------------
     def _spawn(self, child: Child) -> None:

@@ -11,7 +11,8 @@ from contextlib import contextmanager, suppress
 from tramstream import machine_code
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
-from tramstream.supervision.supervisor import Child, Plan, Supervisor
+from tramstream.supervision.child import Child
+from tramstream.supervision.supervisor import Plan, Supervisor
 from tramstream.supervision.voice import Voice
 from tramstream.transport.bus import Bus, ZenohBus
 
@@ -49,6 +50,11 @@ class Fleet:
     def lost(self) -> int:
         """Messages that are missing in the records of this run; final when the nodes have ended."""
         return self._supervisor.lost
+
+    @property
+    def unheard(self) -> str:
+        """One sentence if messages may be missing that nobody could count."""
+        return self._supervisor.unheard
 
     def until(
         self,

@@ -21,6 +21,10 @@ STATES_KEPT = 256
 AGAIN_S = 10.0
 """What cannot be decoded is said so often."""
 RECORDER = "recorder"
+KNOW_S = 0.2
+"""How often is asked who the recorder is: one that is started at the end lives for seconds."""
+SESSIONS_KEPT = 256
+"""Of recorders, one after the other."""
 
 
 class Listener(Protocol):
@@ -37,7 +41,8 @@ class Voice:
     """Tells people what nodes log and when their state changes; each sentence once.
 
     Heartbeats, losses and sentences have a queue each: a flood of one drowns no other. Anybody may
-    publish on these keys; what is no message of theirs is counted, said and left out.
+    publish on these keys; what is no message of theirs is counted, said and left out. Losses count
+    only if the session that is announced as the recorder's tells them.
 
     Parameters
     ----------
@@ -60,6 +65,12 @@ class Voice:
     ) -> None:
         self.left_out = 0
         """Messages that could not be decoded."""
+        self.strange = 0
+        """Losses that somebody else told in the recorder's name."""
+        self._bus = bus
+        self._recorder = keys.alive(vehicle, RECORDER)
+        self._recorders: dict[int, None] = {}  # sessions, in the order in which they came
+        self._known_s = -KNOW_S
         self._say = say
         self._listener = listener
         self._now_s = now_s
@@ -73,6 +84,8 @@ class Voice:
 
     def speak(self) -> None:
         """Say what has come."""
+        if self._now_s() - self._known_s >= KNOW_S:
+            self._know_recorder()
         for key, ring in self._rings.values():
             for _ in range(len(ring)):  # what comes meanwhile has its turn later
                 envelope = ring.get(0.0)
@@ -91,7 +104,30 @@ class Voice:
             self._listener.heard(node, message.pid)
             self._tell_state(node, message)
         elif isinstance(message, Loss) and node == message.consumer == RECORDER:
-            self._listener.lose(message.count)
+            self._take_loss(envelope.session, message.count)
+
+    def _know_recorder(self) -> None:
+        """Take note of the session that is announced as the recorder's, the first if several are.
+
+        Its last words may be heard when it is no longer announced.
+        """
+        self._known_s = self._now_s()
+        announced = self._bus.announced(self._recorder)
+        if announced:
+            self._recorders[announced[0].session] = None
+            if len(self._recorders) > SESSIONS_KEPT:
+                del self._recorders[next(iter(self._recorders))]
+
+    def _take_loss(self, session: int, count: int) -> None:
+        if session in self._recorders:
+            self._listener.lose(count)
+            return
+        self.strange += 1
+        if self.strange == 1:
+            self._say(
+                f"session {session:08x} tells of losses in the recorder's name and is not the "
+                "recorder; it is not believed, nor are others"
+            )
 
     def _tell_state(self, node: str, message: NodeHealth) -> None:
         before = self._texts.get(node, "")

@@ -4,6 +4,8 @@ A filter's tangent plane touches the Earth where its ride began, the network's w
 and a plan knows no heights. Near a place both go over into each other by a linear map; it is laid
 anew when the vehicle has left that place. So no height and no distance from either origin adds an
 error: what is left after `MOVED_M` is a millimetre.
+
+Equations: docs/theory.md, section 2.4.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Where a place is beside the rails: geometry of a `Network`, compiled.
 
 A run's chainage counts from where the run begins. Left is positive across, as everywhere.
+
+Equations: docs/theory.md, section 10.3.
 """
 
 from __future__ import annotations

@@ -17,8 +17,9 @@ When the session of a key changes, the node may have been started again, or two 
     apart, and the first not announced and
         silent for `QUIET_S` ──────────────────▶ used from here on
 
-Tokens are asked for only while somebody is in doubt or apart. Messages that are held go on in their
-order; nothing is dropped for having come before its token.
+Tokens are asked for at the reader's start, and then only while somebody is in doubt or apart. One
+that was not there the last time is no older than that, whatever it says. Messages that are held go
+on in their order; nothing is dropped for having come before its token.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ HELD_BYTES = 16 << 20
 """Held on one key; what comes then is apart."""
 MOST_RIVALS = 8
 """Sessions that are told apart on one key, beside announced ones; others share a topic."""
+MOST_TOPICS = 2000
+"""Remembered; of further ones, which somebody makes up, only those of announced sessions are."""
+SINCE_KEPT = 1024
+"""Sessions whose beginning is remembered."""
 FORGOTTEN_S = 10.0
 """A session that was silent so long is no longer looked for."""
 NOBODY = 0
@@ -87,6 +92,7 @@ class Sources:
         self._ask = ask
         self._asked_ns = 0
         self._since_ns: dict[int, int] = {}  # of announced sessions
+        self._first_since_ns: dict[int, int] = {}  # of all that were
         self._names: dict[int, str] = {}
 
     def name(self, session: int) -> str:
@@ -95,6 +101,14 @@ class Sources:
             return "a stranger without our header"
         known = self._names.get(session)
         return f"{known} (session {session:08x})" if known else f"session {session:08x}"
+
+    def know(self, now_ns: int) -> None:
+        """Take note of who is announced at the reader's start: nobody else is older."""
+        self._tokens(now_ns)
+
+    def is_announced(self, session: int, now_ns: int) -> bool:
+        """Whether a node has announced itself under `session`."""
+        return session in self._tokens(now_ns)
 
     def judge(self, envelope: Envelope, now_ns: int) -> list[Envelope]:
         """Messages to go on with now: this one, some that were held, or none as yet.
@@ -106,6 +120,8 @@ class Sources:
             return [_apart(envelope, NOBODY)]
         source = self.by_topic.get(topic)
         if source is None:
+            if len(self.by_topic) >= MOST_TOPICS and not self.is_announced(session, now_ns):
+                return [_apart(envelope, OTHERS)]
             self.by_topic[topic] = Source(session, envelope.publish_ns)
             return [envelope]
         if session == source.session:
@@ -191,13 +207,19 @@ class Sources:
     def _tokens(self, now_ns: int) -> dict[int, int]:
         """Announced sessions and since when, no older than `ASK_S`."""
         if not self._asked_ns or now_ns - self._asked_ns >= ASK_S * S:
-            found = self._ask()
+            found, before_ns = self._ask(), self._asked_ns
             self._asked_ns = now_ns
             self._since_ns = {}
             for each in found:
-                before = self._since_ns.get(each.session, each.since_ns)
-                self._since_ns[each.session] = min(before, each.since_ns)
+                since_ns = self._first_since_ns.setdefault(
+                    each.session, max(each.since_ns, before_ns)
+                )
+                self._since_ns[each.session] = since_ns
                 self._names[each.session] = keys.split(each.topic)[1].split("/")[1]
+            while len(self._first_since_ns) > SINCE_KEPT:
+                gone = next(iter(self._first_since_ns))
+                del self._first_since_ns[gone]
+                self._names.pop(gone, None)
         return self._since_ns
 
 

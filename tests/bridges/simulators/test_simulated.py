@@ -147,7 +147,7 @@ def test_standing_imu_feels_gravity_alone() -> None:
 
 @given(st.sampled_from(["ADIS16465-1", "ADIS16465-2", "ADIS16465-3"]))
 def test_imu_counts_have_the_scale_of_the_model(model: str) -> None:
-    # theory.md section 2, °/s per count
+    # docs/theory.md, section 3.2, °/s per count
     degps = {"ADIS16465-1": 0.00625, "ADIS16465-2": 0.025, "ADIS16465-3": 0.1}[model]
 
     def turning(time_s: Array) -> tuple[Array, Array]:
