@@ -13,6 +13,7 @@ from tramstream.cli.terminal.options import JsonOption, VehicleOption
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+    from tramstream.cli.monitor.board import Board
     from tramstream.cli.monitor.stats import Stats
     from tramstream.transport.bus import Bus
 
@@ -62,10 +63,12 @@ class Watch:
         from tramstream import keys
         from tramstream.cli.monitor.stats import Stats
         from tramstream.transport.bus import Envelope
+        from tramstream.transport.descriptions import Decoder
         from tramstream.transport.ring import Ring
 
         self.vehicle = vehicle
         self.stats: Stats = Stats(WINDOW_S)
+        self._decode = Decoder(bus)
         self._bus = bus
         self._ring: Ring[Envelope] = Ring(RING_CAPACITY)
         expression = f"{keys.ROOT}/{vehicle}/**"
@@ -79,18 +82,22 @@ class Watch:
                 self.stats.add(envelope)
         return self._bus.clock.now_ns()
 
+    def board(self) -> Board:
+        """All rows of the screen, now."""
+        from tramstream.cli.monitor.board import board
+
+        now_ns = self.update()
+        return board(self.stats, self.vehicle, now_ns, self._decode)
+
     def close(self) -> None:
         self._subscription.close()
 
 
-def render(
-    stats: Stats, vehicle: str, now_ns: int, title: str = "", height: int = 0
-) -> RenderableType:
-    """The screen of `vehicle` at `now_ns`; with a `height` no more lines than that."""
-    from tramstream.cli.monitor.board import board
+def render(board: Board, title: str = "", height: int = 0) -> RenderableType:
+    """The screen of a vehicle; with a `height` no more lines than that."""
     from tramstream.cli.monitor.screen import Screen
 
-    return Screen(board(stats, vehicle, now_ns), title, height)
+    return Screen(board, title, height)
 
 
 @contextmanager
@@ -113,10 +120,7 @@ def live_screen(
             if time.monotonic() < due_s:
                 return
             due_s = time.monotonic() + REFRESH_S
-            now_ns = watch.update()
-            live.update(
-                render(watch.stats, vehicle, now_ns, title, console.size.height), refresh=True
-            )
+            live.update(render(watch.board(), title, console.size.height), refresh=True)
 
         try:
             yield refresh
@@ -132,17 +136,16 @@ def _once(watch: Watch, wait: Callable[[float], object], listen_s: float, as_jso
 
     from rich.console import Console
 
-    from tramstream.cli.monitor.board import board
     from tramstream.cli.monitor.source import line
 
     wait(listen_s)
-    now_ns = watch.update()
+    found = watch.board()
     if as_json:
-        print(line(board(watch.stats, watch.vehicle, now_ns).as_dict()))
+        print(line(found.as_dict()))
         return
     colour = sys.stdout.isatty()
     text = io.StringIO()
     width = shutil.get_terminal_size((160, 50)).columns
     console = Console(file=text, width=width, force_terminal=colour, highlight=False)
-    console.print(render(watch.stats, watch.vehicle, now_ns), end="")
+    console.print(render(found), end="")
     print(text.getvalue(), end="")

@@ -18,8 +18,8 @@ from google.protobuf.message import Message
 
 from tramstream import boundary, keys
 from tramstream.transport.bus import Bus
+from tramstream.transport.descriptions import Described, describe
 
-ASK_TIMEOUT_S = 1.0
 TRIES = 3
 """A full link drops a question or its answer: it is put again."""
 HELD_BYTES = 4_000_000
@@ -40,17 +40,10 @@ class Held(NamedTuple):
     sequence: int
 
 
-@dataclass(frozen=True)
-class Described:
-    """What came of the question for a type; without a class nobody could tell."""
-
-    name: str
-    type: type[Message] | None
-    reason: str = ""
-
-
 Kind = type[Message] | str
 """What a channel holds: a message type, or the encoding of bytes that nobody has described."""
+PENDING = "pending"
+"""The kind of messages whose description is being asked for."""
 
 
 @dataclass
@@ -66,14 +59,14 @@ class ForeignTypes:
 
     bus: Bus
     deliver: Callable[[Described], None]
-    _known: dict[str, Kind] = field(default_factory=dict)
+    _known: dict[str, Kind] = field(default_factory=lambda: dict(keys.TYPES))
     _held: dict[str, list[Held]] = field(default_factory=dict)
     _held_bytes: int = 0
     _questions: SimpleQueue[str | None] = field(default_factory=SimpleQueue)
     _thread: threading.Thread | None = None
 
-    def kind(self, encoding: str) -> Kind | None:
-        """What messages of `encoding` are; None while that is being asked."""
+    def kind(self, encoding: str) -> Kind:
+        """What messages of `encoding` are; PENDING while that is being asked."""
         name = boundary.type_name(encoding)
         if not name:
             return encoding.partition(";")[0].rpartition("/")[2] or "bytes"
@@ -81,11 +74,11 @@ class ForeignTypes:
         if known is not None:
             return known
         if name not in self._held:
-            if len(self._known) + len(self._held) >= MOST_TYPES:
+            if len(self._known) + len(self._held) >= MOST_TYPES + len(keys.TYPES):
                 return UNDESCRIBED
             self._held[name] = []
             self._ask(name)
-        return None if self._held_bytes < HELD_BYTES else UNDESCRIBED
+        return PENDING if self._held_bytes < HELD_BYTES else UNDESCRIBED
 
     def hold(self, encoding: str, message: Held) -> None:
         """Keep a message until the type that `kind` knows nothing of is described."""
@@ -93,7 +86,7 @@ class ForeignTypes:
         self._held_bytes += len(message.payload)
 
     def settle(self, answer: Described) -> list[Held]:
-        """Take an answer; gives the messages that waited for it, in the order in which they came."""
+        """Take an answer; gives the messages that waited for it, in the order of coming."""
         self._known[answer.name] = answer.type or UNDESCRIBED
         held = self._held.pop(answer.name, [])
         self._held_bytes -= sum(len(each.payload) for each in held)
@@ -114,16 +107,4 @@ class ForeignTypes:
 
     def _run(self) -> None:
         while (name := self._questions.get()) is not None:
-            self.deliver(describe(self.bus, name))
-
-
-def describe(bus: Bus, name: str) -> Described:
-    """Ask whoever publishes it what a message type is; blocks for a few seconds at most."""
-    reason = "nobody describes it"
-    for _ in range(TRIES):
-        for answer in bus.ask(keys.schema(name), ASK_TIMEOUT_S):
-            found = boundary.described(answer, name)
-            if not isinstance(found, str):
-                return Described(name, found)
-            reason = found
-    return Described(name, None, reason)
+            self.deliver(describe(self.bus, name, TRIES))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -18,23 +17,30 @@ from tramstream import config_file, keys
 from tramstream.boundary import Undecodable, decode
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
-from tramstream.keys import Key
 from tramstream.live.node import Node
 from tramstream.processor import Ledger
 from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendAnswer
 from tramstream.recorder.asker import Asker
+from tramstream.recorder.foreign import (
+    PENDING,
+    UNDESCRIBED,
+    ForeignTypes,
+    Held,
+    Kind,
+)
 from tramstream.recorder.gaps import GapBook
+from tramstream.recorder.leaving import Leaving, Seen
+from tramstream.recorder.mentions import Mentions
 from tramstream.recorder.previous import remember
 from tramstream.recorder.recording import Recording
 from tramstream.transport.bus import Bus, Envelope
+from tramstream.transport.descriptions import Described
 from tramstream.transport.header import is_possible
 from tramstream.transport.sources import MOST_TOPICS, OTHERS
 
 NAME = "recorder"
-SENTENCES = 20
-"""About keys of strangers; what follows is counted, and the count told."""
 UNSAID_S = 10.0
 ASK_S = 0.05
 SWEEP_S = 5.0
@@ -47,34 +53,11 @@ LAST_ROUNDS = 20
 """Questions at the end, each with the answers to the one before."""
 
 
-@dataclass(slots=True)
-class Leaving:
-    """A publisher that waits to end: its session, and the call that lets it go."""
-
-    session: int
-    answer: Callable[[], None]
-    swept: bool = False
-    """Whether it has said that it holds nothing that is missing here."""
-    silent_ns: int = 0
-    """Since when it has answered nothing; 0 if it answered the last question. A full link drops
-    questions and answers at once, so how often says nothing."""
-    due: bool = False
-    """Whether it is to be asked again."""
-
-
-@dataclass(slots=True)
-class Seen:
-    """How many answers a publisher that is leaving gave when it was asked for everything."""
-
-    leaving: Leaving
-    answers: int
-
-
 class RecorderNode(Node):
     """Appends every message to the record; flushes, splits and cleans up by timer.
 
-    A key that tramstream does not know is not recorded (nobody could decode it) but named once in
-    `health/recorder/log` and counted as dropped.
+    Keys of other packages are recorded like ours, with the description of their messages that their
+    publisher gives; what nobody describes is recorded as the bytes that it is.
 
     Parameters
     ----------
@@ -111,8 +94,10 @@ class RecorderNode(Node):
         self.recording = Recording(Path(settings.directory), vehicle, settings, bus.clock, metadata)
         self._settings = settings
         self._expression = expression
-        self._keys: dict[str, Key | None] = {}
-        self._mentioned = self._unsaid = self._unsaid_told = 0
+        self._time_topic = keys.GNSS_TIME.on(vehicle)
+        self._kinds: dict[str, Kind | None] = {}
+        self._mentions = Mentions(self.log)
+        self._types = ForeignTypes(bus, lambda answer: self.ring.put(NAME, answer))
         self._ledger = Ledger(NAME, "messages")
 
     def expressions(self) -> list[str]:
@@ -126,7 +111,7 @@ class RecorderNode(Node):
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
-        self.every(UNSAID_S, self._tell_unsaid)
+        self.every(UNSAID_S, self._mentions.tell_unsaid)
         self.bus.attend(keys.farewell(self.vehicle), self._farewell)
         if self._goes_on:
             self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
@@ -135,25 +120,28 @@ class RecorderNode(Node):
     def handle(self, envelope: Envelope) -> None:
         topic = envelope.topic
         try:
-            key = self._keys[topic]
+            kind = self._kinds[topic]
         except KeyError:
-            if len(self._keys) >= MOST_TOPICS and self._is_made_up(envelope):
+            if len(self._kinds) >= MOST_TOPICS and self._is_made_up(envelope):
                 self._leave_out(f"{topic}: not recorded; {MOST_TOPICS} keys are, and this is more")
                 return
-            key = self._keys[topic] = self._find(topic)
+            kind = self._find(envelope)
         log_ns = self._log_time(envelope)
         if log_ns is None:
             return
         self._ledger.received += 1
-        if key is None:
+        if kind is None:
             self._ledger.dropped += 1
             return
         self._ledger.delivered += 1
-        if key is keys.GNSS_TIME and not keys.is_apart(topic):
+        if kind is GnssTime and topic == self._time_topic:
             self._learn_time(envelope.payload)
-        self.recording.append(
-            topic, key, envelope.payload, log_ns, envelope.publish_ns, envelope.sequence
-        )
+        payload, publish_ns, sequence = envelope.payload, envelope.publish_ns, envelope.sequence
+        if kind is PENDING:
+            held = Held(topic, payload, log_ns, publish_ns, sequence)
+            self._types.hold(envelope.encoding, held)
+            return
+        self.recording.append(topic, kind, payload, log_ns, publish_ns, sequence)
 
     def _log_time(self, envelope: Envelope) -> int | None:
         """When a message came; None if the record has it."""
@@ -175,21 +163,7 @@ class RecorderNode(Node):
         """Count a message that is not recorded, and say so while there is room for sentences."""
         self._ledger.received += 1
         self._ledger.dropped += 1
-        self._mention(sentence)
-
-    def _mention(self, sentence: str) -> None:
-        """Say something that a stranger may cause any number of times."""
-        if self._mentioned < SENTENCES:
-            self._mentioned += 1
-            self.log(sentence)
-        else:
-            self._unsaid += 1
-
-    def _tell_unsaid(self) -> None:
-        """Count what was not said."""
-        if self._unsaid > self._unsaid_told:
-            self._unsaid_told = self._unsaid
-            self.log(f"{self._unsaid} more sentences about keys of strangers were not said")
+        self._mentions.mention(sentence)
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
@@ -254,7 +228,7 @@ class RecorderNode(Node):
                 self._leaving.remove(leaving)
                 leaving.answer()
 
-    def handle_item(self, item: bytes | Leaving | Seen) -> None:
+    def handle_item(self, item: bytes | Leaving | Seen | Described) -> None:
         """Work on what publishers say beside their messages."""
         match item:
             case Leaving():
@@ -266,6 +240,8 @@ class RecorderNode(Node):
                 gone = leaving.silent_ns and now_ns - leaving.silent_ns > SILENT_S * S
                 leaving.swept = leaving.swept or bool(gone)
                 leaving.due = not leaving.swept
+            case Described():
+                self._learn_type(item)
             case _:
                 self._take_answer(item)
 
@@ -327,18 +303,34 @@ class RecorderNode(Node):
         self._name_lost(self._gaps.give_up(self.clock.now_ns(), at_once=True))
         self._deaf = False
 
-    def _find(self, topic: str) -> Key | None:
+    def _find(self, envelope: Envelope) -> Kind | None:
+        """What a topic holds; None if it is not recorded."""
+        topic = envelope.topic
         vehicle, path = keys.split(keys.published(topic))
-        if any(keys.matches(expression, path) for expression in self._settings.exclude):
-            return None
-        key = keys.find(path) if vehicle == self.vehicle else None
-        if key is None:
-            text = "not recorded, for this version of tramstream has no such key"
-            self._mention(f"{topic}: {text}")
-        elif keys.is_apart(topic):
-            who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
-            self._mention(f"{path} comes from a second publisher, {who}; it is recorded as {topic}")
-        return key
+        kind: Kind | None = None
+        if vehicle != self.vehicle:
+            self._mentions.mention(f"{topic}: not recorded, for it is no key of this vehicle")
+        elif not any(keys.matches(expression, path) for expression in self._settings.exclude):
+            key = keys.find(path)
+            kind = self._types.kind(envelope.encoding) if key is None else key.type
+            if keys.is_apart(topic):
+                who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
+                text = f"{path} comes from a second publisher, {who}; it is recorded as {topic}"
+                self._mentions.mention(text)
+        if kind is not PENDING:
+            self._kinds[topic] = kind
+        return kind
+
+    def _learn_type(self, answer: Described) -> None:
+        """Record what has waited for the description of its type."""
+        if answer.type is None:
+            text = f"messages of {answer.name} are recorded as bytes, for {answer.reason}"
+            self._mentions.mention(text)
+        self._record_held(self._types.settle(answer), answer.type or UNDESCRIBED)
+
+    def _record_held(self, held: list[Held], kind: Kind) -> None:
+        for each in held:
+            self.recording.append(each.topic, kind, *each[1:])
 
     def flush(self) -> None:
         self.recording.flush()
@@ -367,12 +359,13 @@ class RecorderNode(Node):
         self.heartbeat()
         self.drain()
         self.settle_sources(at_end=True)
-        self._tell_unsaid()
+        self._mentions.tell_unsaid()
         try:
             self._ask_for_the_last()
             self.settle_sources(at_end=True)
         except Exception as error:  # noqa: BLE001  told; the last part is finished whatever it was
             self.fault(error)
+        self._record_held(self._types.give_up(), UNDESCRIBED)
         if not self.recording.close():
             self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
         self._tell()

@@ -202,7 +202,7 @@ class Record:
     def _class(self, topic: str) -> type[Message] | str:
         """The type of a topic's messages, or why there is none."""
         name = self.type_of(topic)
-        known = _OURS.get(name)
+        known = keys.TYPES.get(name)
         if known is not None:
             return known
         for file in self.files:
@@ -210,9 +210,6 @@ class Record:
                 if schema.name == name and schema.encoding == "protobuf":
                     return boundary.described(schema.data, name)
         return "of no type that the record describes with protobuf"
-
-
-_OURS = {key.type.DESCRIPTOR.full_name: key.type for key in keys.ALL}
 
 
 def open_record(paths: Path | Iterable[Path], any_schema: bool = False) -> Record:

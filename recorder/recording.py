@@ -121,7 +121,7 @@ class Recording:
     def append(
         self,
         topic: str,
-        type_: type[Message] | Key,
+        type_: type[Message] | Key | str,
         payload: bytes,
         log_ns: int,
         publish_ns: int,

@@ -202,6 +202,8 @@ CLOCK = define(
 
 ALL: tuple[Key, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Key))
 _BY_PATH = {key.path: key for key in ALL}
+TYPES: dict[str, type[Message]] = {key.type.DESCRIPTOR.full_name: key.type for key in ALL}
+"""Our message types by their full name."""
 
 
 def full(vehicle: str, path: str) -> str:

@@ -10,12 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 from google.protobuf.message import Message
 
+from tramstream.config import Vehicle
+from tramstream.config_file import settings
 from tramstream.keys import Key
 from tramstream.proto.sync_pb2 import LateSample
 
@@ -53,38 +55,58 @@ class Ledger:
         return self.received == self.delivered + self.dropped + self.pending
 
 
+@dataclass
+class NoMemory:
+    """The memory of a processor that has none."""
+
+
 class Processor(ABC):
     """A pure stage: `step(sample) -> [sample]` with memory that can be copied out and put back.
 
-    Subclasses declare `name`, `inputs` and `outputs`, keep their whole memory in attributes and
-    number their outputs with `emit`.
+    Subclasses declare `name`, `inputs` and `outputs`, and number their outputs with `emit`. Their
+    memory is one dataclass of plain data, `Memory`, of which `self.memory` is an instance; settings
+    are no part of it. One that keeps it otherwise overrides `snapshot` and `restore`.
     """
 
     name: ClassVar[str]
     inputs: ClassVar[tuple[Key, ...]]
     outputs: ClassVar[tuple[Key, ...]]
     Settings: ClassVar[type[msgspec.Struct] | None] = None
-    """Its section of the configuration: `[<name>]`, checked strictly while loading. Its instance
-    is had by `tramstream.config_file.settings(vehicle, name, Settings)`."""
+    """Its section of the configuration: `[<name>]`, checked strictly while loading; who calls
+    `super().__init__(vehicle)` has it as `self.settings`."""
     pacing: ClassVar[tuple[Key, ...]] = ()
     """Inputs that move the processor's horizon on; all others may come early: no difference."""
     demanding: ClassVar[bool] = False
     """Takes about as long as all others together: reprocessing gives it a core of its own."""
 
-    def __init__(self) -> None:
+    Memory: ClassVar[type[Any]] = NoMemory
+    """Dataclass whose fields are plain data (`State`) and have defaults: the memory of a start."""
+
+    def __init__(self, vehicle: Vehicle | None = None) -> None:
         self._next_sequence: dict[str, int] = {}
+        self.memory: Any = self.Memory()
+        if vehicle is not None and self.Settings is not None:
+            self.settings: Any = settings(vehicle, self.name, self.Settings)
 
     @abstractmethod
     def step(self, sample: Sample) -> list[Sample]:
         """Take one sample, return what follows from it, in the order of publication."""
 
-    @abstractmethod
     def snapshot(self) -> State:
         """Memory as plain data that shares nothing with the processor; `restore` takes it back."""
+        own = {field.name: getattr(self.memory, field.name) for field in fields(self.memory)}
+        return {"memory": deepcopy(own), "sequences": self.sequences()}
 
-    @abstractmethod
     def restore(self, state: State) -> None:
-        """Go on from `state`, which `snapshot` of the same class gave."""
+        """Go on from `state`, which `snapshot` of the same class gave.
+
+        Raises
+        ------
+        TypeError
+            If it is of another version, with other fields.
+        """
+        self.memory = self.Memory(**deepcopy(state["memory"]))
+        self.restore_sequences(state["sequences"])
 
     def ledgers(self) -> list[Ledger]:
         """What became of all that came in, one entry for each unit the stage counts in."""

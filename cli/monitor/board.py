@@ -12,10 +12,10 @@ from typing import Any
 
 from tramstream.boundary import name_of
 from tramstream.cli.monitor.digest import digest
-from tramstream.cli.monitor.source import decode
 from tramstream.cli.monitor.stats import KeyStats, Stats
 from tramstream.clock import S
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
+from tramstream.transport.descriptions import Decoder
 
 SILENT_S = 3.0
 """Three heartbeats."""
@@ -118,8 +118,9 @@ class Board:
         return plain | totals
 
 
-def board(stats: Stats, vehicle: str, now_ns: int) -> Board:
+def board(stats: Stats, vehicle: str, now_ns: int, decode: Decoder | None = None) -> Board:
     """The state of `vehicle` at `now_ns` as its messages tell it."""
+    decode = decode or Decoder()
     nodes: list[NodeRow] = []
     devices: list[DeviceRow] = []
     rows: list[KeyRow] = []
@@ -129,9 +130,9 @@ def board(stats: Stats, vehicle: str, now_ns: int) -> Board:
         message = decode(found.last) if found.last is not None else None
         rows.append(_key_row(found, digest(message) if found.last is not None else "", now_ns))
         if isinstance(message, NodeHealth):
-            nodes.append(_node_row(found, message, now_ns))
+            nodes.append(_node_row(found, message, decode, now_ns))
         elif isinstance(message, DeviceHealth):
-            devices.append(_device_row(found, message, now_ns))
+            devices.append(_device_row(found, message, decode, now_ns))
     return Board(vehicle, now_ns, nodes, devices, rows)
 
 
@@ -159,7 +160,7 @@ def _key_row(found: KeyStats, last: str, now_ns: int) -> KeyRow:
     )
 
 
-def _node_row(found: KeyStats, message: NodeHealth, now_ns: int) -> NodeRow:
+def _node_row(found: KeyStats, message: NodeHealth, decode: Decoder, now_ns: int) -> NodeRow:
     age_s = found.age_s(now_ns) or 0.0
     before = decode(found.before) if found.before is not None else None
     state, level = name_of(NodeHealth.State, message.state), _level(message.state)
@@ -192,7 +193,7 @@ def _cpu_percent(before: Any, message: NodeHealth) -> float | None:
     return 100.0 * (message.cpu_s - before.cpu_s) / dt_s if dt_s > SHORT_S else None
 
 
-def _device_row(found: KeyStats, message: DeviceHealth, now_ns: int) -> DeviceRow:
+def _device_row(found: KeyStats, message: DeviceHealth, decode: Decoder, now_ns: int) -> DeviceRow:
     age_s = found.age_s(now_ns) or 0.0
     before = decode(found.before) if found.before is not None else None
     bytes_per_s = None

@@ -11,6 +11,7 @@ from typing import Any
 
 from google.protobuf.message import Message
 
+from tramstream import keys
 from tramstream.boundary import name_of
 from tramstream.clock import S
 from tramstream.wording import clipped, lasting, scaled
@@ -30,7 +31,8 @@ def digest(message: Message | None) -> str:
     """One line about `message`; of a type without a digest of its own the first fields."""
     if message is None:
         return "cannot be decoded"
-    short = _DIGESTS.get(message.DESCRIPTOR.name)
+    ours = message.DESCRIPTOR.full_name in keys.TYPES
+    short = _DIGESTS.get(message.DESCRIPTOR.name) if ours else None
     return short(message) if short is not None else _first_fields(message)
 
 

@@ -19,13 +19,14 @@ from typing import Any, NamedTuple
 
 from google.protobuf.message import Message
 
-from tramstream import boundary, keys
+from tramstream import keys
 from tramstream.boundary import Undecodable
 from tramstream.cli.terminal import session
 from tramstream.errors import ConfigError, DamagedRecordError, RecordError
 from tramstream.recorder.reader import Entry, Record, open_record
 from tramstream.shown import shown_json
 from tramstream.transport.bus import Bus, Envelope
+from tramstream.transport.descriptions import Decoder
 from tramstream.transport.ring import Ring
 
 WAIT_S = 0.1
@@ -117,6 +118,7 @@ class LiveSource(Source):
         super().__init__(wanted)
         self.ring: Ring[Envelope] = Ring(RING_CAPACITY)
         self._bus = bus
+        self._decode = Decoder(bus)
         self._first: Envelope | None = None
         expression = f"{keys.ROOT}/{wanted.vehicle}/{wanted.pattern}"
         self.subscription = bus.subscribe(expression, lambda e: self.ring.put(e.topic, e))
@@ -133,7 +135,8 @@ class LiveSource(Source):
             yield self.ring.get(WAIT_S)
 
     def decode(self, envelope: Envelope) -> Message | None:
-        return decode(envelope)
+        message: Message | None = self._decode(envelope)
+        return message
 
     def now_ns(self) -> int:
         return self._bus.clock.now_ns()
@@ -227,23 +230,6 @@ def look(key: str, file: Path | None, vehicle: str = "") -> Iterator[Source]:
         if not wanted.vehicle:
             wanted = Wanted(session.vehicle_on(bus), wanted.pattern)
         yield LiveSource(bus, wanted)
-
-
-def decode(envelope: Envelope) -> Any | None:
-    """The message in `envelope`; None if it is not what key and encoding promise."""
-    name = envelope.encoding.rpartition(";")[2]
-    key = keys.find(keys.split(envelope.topic)[1])
-    type_ = (
-        key.type if key is not None and key.encoding == envelope.encoding else _types().get(name)
-    )
-    if type_ is None:
-        return None
-    message = boundary.decode(type_, envelope.payload, envelope.topic)
-    return None if isinstance(message, Undecodable) else message
-
-
-def _types() -> dict[str, Any]:
-    return {key.type.DESCRIPTOR.full_name: key.type for key in keys.ALL}
 
 
 def defined_paths() -> list[str]:

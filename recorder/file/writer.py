@@ -200,16 +200,16 @@ class RecordFile:
     def append(
         self,
         topic: str,
-        type_: type[Message] | Key,
+        type_: type[Message] | Key | str,
         payload: bytes,
         log_ns: int,
         publish_ns: int,
         sequence: int,
     ) -> None:
-        """Add one encoded message. `type_` counts at a topic's first message only.
+        """Add one encoded message.
 
-        `log_ns` is the arrival at the recorder, `publish_ns` when its publisher sent it; of
-        `sequence` the lower 32 bits are kept.
+        `type_`, of which a topic's first counts, is its type, its key, or the encoding of bytes;
+        `log_ns` is the arrival at the recorder; of `sequence` the lower 32 bits are kept.
         """
         stream = self._streams.get(topic) or self._register(topic, type_)
         if self._full or len(payload) > MAX_MESSAGE_BYTES:
@@ -324,22 +324,24 @@ class RecordFile:
         if self._sink.error and not self._live:
             raise RecordError(self._sink.error)
 
-    def _register(self, topic: str, type_: type[Message] | Key) -> _Stream:
-        kind: Any = type_.type if isinstance(type_, Key) else type_
-        name = kind.DESCRIPTOR.full_name
-        schemas, channels = self.contents.schemas, self.contents.channels
-        schema = next((known for known in schemas.values() if known.name == name), None)
-        if schema is None:
-            schema = schema_of(kind, max(schemas, default=0) + 1)
+    def _register(self, topic: str, type_: type[Message] | Key | str) -> _Stream:
+        schema = None if isinstance(type_, str) else self._schema(type_)
         channel = Channel(
-            id=max(channels, default=0) + 1,
+            id=max(self.contents.channels, default=0) + 1,
             topic=topic,
-            message_encoding="protobuf",
+            message_encoding=type_ if isinstance(type_, str) else "protobuf",
             metadata={"schema_version": str(SCHEMA_VERSION)},
-            schema_id=schema.id,
+            schema_id=schema.id if schema is not None else 0,
         )
         self.define(channel, schema)
         return self._streams[topic]
+
+    def _schema(self, type_: type[Message] | Key) -> Schema:
+        kind: Any = type_.type if isinstance(type_, Key) else type_
+        schemas = self.contents.schemas
+        made = schema_of(kind, max(schemas, default=0) + 1)
+        same = (each for each in schemas.values() if each.name == made.name)
+        return next((each for each in same if each.data == made.data), made)
 
     def _messages(self) -> int:
         return sum(len(stream.index) for stream in self._by_id.values()) // 2

@@ -132,8 +132,14 @@ class Followers:
         return encoded(self.graph.follow(samples))
 
 
-def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers) -> Shortfall:
-    """Reprocess `record`; return what had to be done without.
+def run(
+    record: Record,
+    processors: list[Processor],
+    plan: Plan,
+    takers: Takers,
+    cores: int | None = None,
+) -> Shortfall:
+    """Reprocess `record` on the machine's cores, or on `cores`; return what had to be done without.
 
     Raises
     ------
@@ -144,7 +150,8 @@ def run(record: Record, processors: list[Processor], plan: Plan, takers: Takers)
     names = [{processor.name for processor in each} for each in (first, behind)]
     followers = Followers(behind, plan, names[0])
     # A worker of a pool may have no children.
-    apart = len(os.sched_getaffinity(0)) > 1 and not multiprocessing.current_process().daemon
+    cores = cores or len(os.sched_getaffinity(0))
+    apart = cores > 1 and not multiprocessing.current_process().daemon
     if behind and apart and not any(isinstance(each, Smoothing) for each in first):
         sender = _Sender(followers.graph.reads)
         run = Reprocessor(record, first, plan, sender.take, names[1])

@@ -48,7 +48,7 @@ def healthy() -> Stats:
 def shown(stats: Stats, width: int, now_ns: int = NOW_NS, height: int = 0) -> list[str]:
     text = io.StringIO()
     console = Console(file=text, width=width, highlight=False)
-    console.print(render(stats, VEHICLE, now_ns, "A title.", height), end="")
+    console.print(render(board(stats, VEHICLE, now_ns), "A title.", height), end="")
     return text.getvalue().splitlines()
 
 

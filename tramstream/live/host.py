@@ -103,6 +103,7 @@ class ProcessorNode(Node):
         for path in self.expressions():
             key = self.graph.inputs[path]
             self._by_topic[key.on(self.vehicle)] = key
+        self._describe_types()
         self._restore()
         if self._ticks:
             self._take_snapshot(start=True)
@@ -114,6 +115,14 @@ class ProcessorNode(Node):
             self.every(DEVICE_HEALTH_S, self.device_health)
             for reader in self.readers:
                 reader.start()
+
+    def _describe_types(self) -> None:
+        """Tell whoever asks what messages of other packages are; the router knows ours."""
+        for key in self.graph.outputs.values():
+            name = key.type.DESCRIPTOR.full_name
+            if name not in keys.TYPES:
+                data = keys.descriptor_set(key.type).SerializeToString()
+                self.bus.answer(keys.schema(name), lambda asked, data=data: data)
 
     def finish(self) -> None:
         for reader in self.readers:

@@ -44,9 +44,7 @@ class RouterNode(Node):
 
 
 def describe(topic: str) -> bytes | None:
-    """FileDescriptorSet of the message type that `topic` (`keys.schema`) ends with."""
+    """FileDescriptorSet of the message type of ours that `topic` (`keys.schema`) ends with."""
     name = topic.rsplit("/", 1)[-1]
-    for key in keys.ALL:
-        if key.type.DESCRIPTOR.full_name == name:
-            return keys.descriptor_set(key.type).SerializeToString()
-    return None
+    type_ = keys.TYPES.get(name)
+    return keys.descriptor_set(type_).SerializeToString() if type_ is not None else None

@@ -1,0 +1,71 @@
+"""The contract of processors, held to all of ours and to one of a package of somebody else."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from installed import COMFORT, install, put_on_path
+
+from tramstream.lines.line import built_in_line
+from tramstream.processor import Processor, Sample
+from tramstream.processors.distance.processor import DistanceFilter
+from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.resampling.resampler import Resampler
+from tramstream.recorder.reprocess.contract import ProcessorContract
+from tramstream.simulation import scenario
+from tramstream.simulation.simulation import Simulation
+
+
+@cache
+def ride() -> Simulation:
+    """A departure and a curve."""
+    return Simulation(built_in_line(), scenario.load("city"), seed=1, duration_s=40.0)
+
+
+@cache
+def sent() -> tuple[Sample, ...]:
+    return tuple(ride().samples())
+
+
+class Contract(ProcessorContract):
+    def samples(self) -> Iterable[Sample]:
+        return sent()
+
+
+class TestResampler(Contract):
+    def make(self) -> list[Processor]:
+        return [Resampler(ride().vehicle)]
+
+
+class TestDistanceFilter(Contract):
+    def make(self) -> list[Processor]:
+        return [Resampler(ride().vehicle), DistanceFilter(ride().vehicle)]
+
+    def others(self) -> list[Processor]:
+        return [LocalisationFilter(ride().vehicle)]
+
+
+class TestLocalisationFilter(Contract):
+    def make(self) -> list[Processor]:
+        return [Resampler(ride().vehicle), LocalisationFilter(ride().vehicle)]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(ride().vehicle)]
+
+
+class TestForeignProcessor(Contract):
+    @pytest.fixture(autouse=True)
+    def _installed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        put_on_path(install(COMFORT, tmp_path / "site"), monkeypatch)
+        self.module = importlib.import_module("comfort")
+        yield
+
+    def make(self) -> list[Processor]:
+        return [Resampler(ride().vehicle), self.module.Comfort(ride().vehicle)]
+
+    def others(self) -> list[Processor]:
+        return [LocalisationFilter(ride().vehicle)]
