@@ -19,6 +19,10 @@ def demo(
     out: Annotated[
         Path | None, typer.Option(help="Record to write; default demo-<time>.mcap.")
     ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option("--add", metavar="NAME", help="Run this processor of another package too."),
+    ] = None,
     headless: Annotated[bool, typer.Option("--headless", help="No live screen.")] = False,
     json_: Annotated[
         bool, typer.Option("--json", help="Print one JSON object at the end.")
@@ -50,7 +54,7 @@ def demo(
     stop = stop_on_signals()
     folder = Path(tempfile.mkdtemp(prefix="tramstream-demo-", dir="/tmp"))
     config = folder / "demo.toml"
-    config.write_text(configuration(folder, seed))
+    config.write_text(configuration(folder, seed, add or ()))
     vehicle = load(config)
     with fleet.running(Plan(vehicle, config, rate=rate), say) as run:
         _watch(run, stop, duration_s, headless or json_)

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 
+from tramstream.config import Vehicle
 
-def configuration(folder: Path, seed: int) -> str:
-    """The demo's vehicle configuration: like a real one, with simulated devices."""
+
+def configuration(folder: Path, seed: int, more: Iterable[str] = ()) -> str:
+    """The demo's vehicle configuration: like a real one, with simulated devices.
+
+    `more` are processors that run beside those of every vehicle.
+    """
+    processors = [*Vehicle(vehicle="demo").processors, *more]
     dbc = files("tramstream") / "data" / "tram.dbc"
     return f"""\
 vehicle = "demo"
+processors = {json.dumps(processors)}
 
 [bus]
 runtime_dir = "{folder}/run"

@@ -5,7 +5,7 @@
             return [Resampler(VEHICLE), Comfort(VEHICLE)]
 
         def samples(self) -> Iterable[Sample]:
-            return Simulation(built_in_line(), scenario.load("city"), seed=1, duration_s=20).samples()
+            return Simulation(built_in_line(), scenario.load("city"), 1, duration_s=20).samples()
 
 pytest then finds the tests below. They need nothing but the processors and a ride.
 """

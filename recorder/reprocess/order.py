@@ -123,6 +123,7 @@ class Reprocessor:
         }
         self._topics: dict[str, _Input | str | None] = {}
         self._starts = [session.publish_ns for session in plan.sessions]
+        self._read = set(plan.read)
         self._log_ns = 0
         self._session = 0
         self.missing: dict[str, int] = {}
@@ -210,6 +211,10 @@ class Reprocessor:
         positions = [each for each in tick.positions if each.key in self._inputs]
         for position in positions:
             self._drop_unread(self._inputs[position.key], position)
+        # What the live processors did not read, and these do, is fed as it was recorded.
+        self._read.update(each.key for each in positions)
+        unread = self._inputs.keys() - self._read
+        self._feed(_LOG_NS, dict.fromkeys(unread, entry.log_ns))
         self._feed(_PUBLISH_NS, {each.key: each.last_publish_ns for each in positions})
         for position in positions:
             self._count_missing(self._inputs[position.key], position)

@@ -33,6 +33,8 @@ class Plan:
     skip: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     """Per key path: publication times (exclusive) of what the live processors never got or used."""
     recorder_lost: dict[str, int] = field(default_factory=dict)
+    read: set[str] = field(default_factory=set)
+    """Paths of the keys that the live processors read, as snapshots tell."""
     settings: frozenset[str] | None = None
     """Digests of the settings that the processors have now; None: nobody looks at them."""
 
@@ -93,6 +95,7 @@ def read_plan(record: Record, consumers: Collection[str]) -> Plan:
 
 
 def _see_snapshot(plan: Plan, snapshot: Snapshot, publish_ns: int) -> None:
+    plan.read.update(position.key for position in snapshot.positions)
     if any(known.snapshot.session == snapshot.session for known in plan.sessions):
         return
     plan.sessions.append(Session(snapshot, publish_ns))

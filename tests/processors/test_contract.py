@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -59,10 +59,9 @@ class TestLocalisationFilter(Contract):
 
 class TestForeignProcessor(Contract):
     @pytest.fixture(autouse=True)
-    def _installed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def _installed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         put_on_path(install(COMFORT, tmp_path / "site"), monkeypatch)
         self.module = importlib.import_module("comfort")
-        yield
 
     def make(self) -> list[Processor]:
         return [Resampler(ride().vehicle), self.module.Comfort(ride().vehicle)]
