@@ -2,7 +2,7 @@
 
 What the filter has to find is drawn for each ride from the filter's own prior: biases, mounting,
 scale of the vertical gyroscope, radii of the wheels, delays. A tenth of the fixes' error is white,
-as the filter takes it to be (`tram_fixes.WHITE_SHARE`), the rest lasts as the configuration says.
+as the filter takes it to be (`WHITE_SHARE`), the rest lasts as the configuration says.
 In such a world a right covariance gives a mean NEES of its dimension, a right S a mean NIS of 1.
 """
 
@@ -19,24 +19,25 @@ from rides import Array, Ride, altered, laid, reference, ridden
 from scipy.special import ndtr, stdtrit
 
 from tramstream import keys
-from tramstream.clock import S
-from tramstream.config import Vehicle
-from tramstream.consistency import (
+from tramstream.analysis.evaluate.consistency import (
     CONFIDENCE,
     Interval,
     autocorrelation_time,
     chi_square_interval,
     quadratic_form,
 )
+from tramstream.clock import S
+from tramstream.config import Vehicle
+from tramstream.estimation.series import Slot, wrapped_rad
 from tramstream.geodesy import convergence_rad
-from tramstream.line import built_in_line
+from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
-from tramstream.processors.ekf import LocalisationFilter
-from tramstream.processors.tram_fixes import WHITE_SHARE
-from tramstream.processors.tram_kernels import ENTRY_COUNT
-from tramstream.processors.tram_navigation import GYRO_SCALE_STD
-from tramstream.processors.tram_states import SIZE, Ix
-from tramstream.processors.tram_trace import (
+from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.tram.gnss import WHITE_SHARE
+from tramstream.processors.tram.motion import ENTRY_COUNT
+from tramstream.processors.tram.navigation import GYRO_SCALE_STD
+from tramstream.processors.tram.states import SIZE, Ix
+from tramstream.processors.tram.trace import (
     ANEW,
     INSTANT,
     PREDICTION,
@@ -46,9 +47,8 @@ from tramstream.processors.tram_trace import (
 )
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.sync_pb2 import SyncFrame
-from tramstream.scenario import Scenario
-from tramstream.series import Slot, wrapped_rad
-from tramstream.simulation import Simulation
+from tramstream.simulation.scenario import Scenario
+from tramstream.simulation.simulation import Simulation
 
 SEEDS = range(1, 21)
 DURATION_S = 66.0
@@ -178,8 +178,8 @@ class Figure(NamedTuple):
 def figure(series: Sequence[Array], dimensions: int = 1, figures: int = 1) -> Figure:
     """Judge several rides together.
 
-    The bounds are those of `tramstream.consistency.mean_bounds`, of 95 % for so many `figures` at
-    once (Bonferroni): of thirteen at 95 % each, one would lie outside every other time.
+    The bounds are those of `consistency.mean_bounds`, of 95 % for so many `figures` at once
+    (Bonferroni): of fourteen at 95 % each, one would lie outside every other time.
     """
     known = [each for each in series if len(each)]
     effective = sum(map(len, known)) / autocorrelation_time(*known)
@@ -294,9 +294,9 @@ def nees(simulation: Simulation, states: Sequence[MotionState]) -> dict[str, Arr
 # Innovations --------------------------------------------------------------------------------------
 UNPUBLISHED = {
     frozenset({Ix.SPEED}): "standstill speed",
-    frozenset({Ix.GYRO_X}): "standstill roll rate",
-    frozenset({Ix.GYRO_Y}): "standstill pitch rate",
-    frozenset({Ix.GYRO_Z}): "standstill yaw rate",
+    frozenset({Ix.GYRO_X}): "standstill rates",
+    frozenset({Ix.GYRO_Y}): "standstill rates",
+    frozenset({Ix.GYRO_Z}): "standstill rates",
     frozenset({Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH}): "standstill gravity",
     frozenset(
         {
