@@ -58,6 +58,7 @@ def no_process_is_left_behind() -> Iterator[None]:
 NO_DATA = "no recordings at"
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say in one line what has not been shown because real recordings are absent."""
     skipped = terminalreporter.stats.get("skipped", [])
