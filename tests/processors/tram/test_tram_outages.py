@@ -119,7 +119,6 @@ def test_3_s_without_anything_are_bridged(seed: int, start_s: float) -> None:
     claimed = watched.errors.within(start_s + 3.0, start_s + 5.0)
     normal = claimed.horizontal_m**2 / np.trace(claimed.covariance[:, :2, :2], axis1=1, axis2=2)
     assert normal.max() < 3.5**2
-    assert np.trace(claimed.covariance[:, :2, :2], axis1=1, axis2=2).max() < PLACE_M**2
 
 
 @pytest.mark.parametrize(("start_s", "end_s"), [(30.0, 50.0), (50.0, 70.0), (70.0, 85.0)])
