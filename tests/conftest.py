@@ -55,13 +55,29 @@ def no_process_is_left_behind() -> Iterator[None]:
     until(lambda: not _left(), "the end of what tests have begun", _left)
 
 
+NO_DATA = "no recordings at"
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say in one line what has not been shown because real recordings are absent."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    missed = sum(NO_DATA in str(each.longrepr) for each in skipped)
+    if missed:
+        terminalreporter.write_line(
+            f"NOT SHOWN: {missed} tests on real recordings were left out, for there are none; "
+            "README.md, section Tests, says what to do",
+            yellow=True,
+        )
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real recordings; skips, naming the folder, where it is absent."""
     chosen = os.environ.get("TRAMSTREAM_DATA")
     folder = Path(chosen) if chosen else REPOSITORY.parent / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip(f"no recordings at {folder}; set TRAMSTREAM_DATA to their folder")
+        pytest.skip(f"{NO_DATA} {folder}; set TRAMSTREAM_DATA to their folder")
     return folder
 
 

@@ -361,7 +361,6 @@ def test_bytes_of_strangers_are_decoded_at_the_boundary_only(name: str) -> None:
 
 
 def test_generated_code_is_that_of_the_proto_files(tmp_path: Path) -> None:
-    pytest.importorskip("grpc_tools", reason="needs tramstream[test]")
     made = generate.generate(tmp_path)
     assert {path.name for path in made} == {
         path.name for path in generate.HERE.glob("*_pb2.py*") if path.suffix in (".py", ".pyi")

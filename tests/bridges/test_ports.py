@@ -222,7 +222,6 @@ def test_frames_of_any_interface_come_with_flags_and_arrivals(bus: Any) -> None:
 
 @pytest.mark.live
 def test_multicast_bus_is_read() -> None:
-    pytest.importorskip("msgpack", reason="python-can's udp_multicast needs msgpack")
     options = {"interface": "udp_multicast", "channel": "239.74.163.2"}
     port = can_port(**options)
     port.open()

@@ -105,7 +105,9 @@ def test_device_that_says_nothing_is_silent_with_a_cure() -> None:
 
 def test_reader_that_was_never_started_can_be_joined() -> None:
     stop = Impatient()
-    PortReader(FakePort([], stop), lambda message: None, stop).join(0.0)
+    reader = PortReader(FakePort([], stop), lambda message: None, stop)
+    reader.join(0.0)
+    assert (reader.opened, reader.bytes_received) == (0, 0)
 
 
 @given(st.lists(st.binary(min_size=1, max_size=20), min_size=1, max_size=20))

@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import osmium
 import pytest
 
 from tramstream.errors import ConfigError
@@ -103,7 +104,6 @@ def test_overpass_with_nodes_of_their_own_in_any_order(tmp_path: Path) -> None:
 
 
 def test_osm_files_hold_the_same(tmp_path: Path) -> None:
-    osmium = pytest.importorskip("osmium")
     plain, packed, binary = (tmp_path / f"map.{end}" for end in ("osm", "osm.gz", "osm.pbf"))
     plain.write_text(xml())
     packed.write_bytes(gzip.compress(xml().encode()))

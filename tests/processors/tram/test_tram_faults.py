@@ -148,9 +148,9 @@ def test_young_ride_knows_that_its_heading_underground_is_worse() -> None:
         claimed = end.covariance[0, :2, :2]
         normal.append(end.p_l[0, :2] @ np.linalg.solve(claimed, end.p_l[0, :2]))
         assert np.sqrt(np.trace(claimed)) > 1.5
-    # χ² with 2 degrees for each seed: 99.9 % of single ones, 99.9 % of the sum.
+    # χ² with 2 degrees for each seed: 99.9 % of single ones, 99.9 % of the sum on either side.
     assert max(normal) < 13.8
-    assert sum(normal) < 29.6
+    assert 1.48 < sum(normal) < 29.6
 
 
 # Wheels -------------------------------------------------------------------------------------------

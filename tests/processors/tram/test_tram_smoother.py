@@ -444,8 +444,7 @@ def gains(seed: int, duration_s: float) -> Array:
 def test_smoothed_is_better_by_30_percent() -> None:
     squares = np.array([gains(seed, 900.0) for seed in range(11, 21)]).sum(axis=0)
     better = np.sqrt(squares[1] / squares[0])
-    print(dict(zip(("place", "speed", "yaw"), better.tolist(), strict=True)))
-    assert (better < 0.7).all()
+    assert (better < 0.7).all(), dict(zip(("place", "speed", "yaw"), better, strict=True))
 
 
 @pytest.mark.study
@@ -460,5 +459,4 @@ def test_smoothed_errors_are_as_large_as_claimed() -> None:
         claimed.append(at.covariance[0][np.ix_(slots, slots)])
     nees = quadratic_form(np.array(claimed), np.array(errors))
     bounds = chi_square_interval(4 * len(rides))
-    print(nees.mean(), bounds)
-    assert bounds.low < nees.sum() < bounds.high
+    assert bounds.low < nees.sum() < bounds.high, nees.mean()
