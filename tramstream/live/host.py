@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median_low
@@ -122,7 +122,7 @@ class ProcessorNode(Node):
             name = key.type.DESCRIPTOR.full_name
             if name not in keys.TYPES:
                 data = keys.descriptor_set(key.type).SerializeToString()
-                self.bus.answer(keys.schema(name), lambda asked, data=data: data)
+                self.bus.answer(keys.schema(name), _saying(data))
 
     def finish(self) -> None:
         for reader in self.readers:
@@ -294,6 +294,10 @@ class ProcessorNode(Node):
     def ledgers(self) -> list[Ledger]:
         inside = [ledger for processor in self.processors for ledger in processor.ledgers()]
         return [self.refusals.ledger(self._received, 0), *inside] if self._by_topic else inside
+
+
+def _saying(data: bytes) -> Callable[[str], bytes]:
+    return lambda asked: data
 
 
 class _Lead:
