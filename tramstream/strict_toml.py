@@ -15,6 +15,8 @@ from tramstream.input_file import TEXT_LIMIT_BYTES
 
 _DEEP_KEY = re.compile(rb"""(?:\.[ \t]*(?:[\w-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')[ \t]*){40}""")
 """A key of forty parts: Python's parser takes time with the square of them."""
+FILL_IN = "FILL IN"
+"""Stands in a written configuration where only the user knows what belongs there."""
 Decoded = TypeVar("Decoded", bound=msgspec.Struct)
 
 
@@ -56,8 +58,11 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
     Raises
     ------
     ValueError
-        For an unknown field, with the nearest known ones, and for nan and infinity.
+        For an unknown field, with the nearest known ones, for nan and infinity, and for what is
+        still to be filled in.
     """
+    if value == FILL_IN:
+        raise ValueError(f"{path}: is still to be filled in; write the value of this vehicle")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{path}: {value} is not a finite number")
     if isinstance(expected, msgspec.inspect.UnionType):
