@@ -64,7 +64,8 @@ def template() -> str:
         if setting.section is None:
             continue
         if setting.name in HEADINGS:
-            parts += [*_strangers(BEFORE.get(setting.name)), _heading(HEADINGS[setting.name])]
+            group = BEFORE.get(setting.name)
+            parts += [*(_strangers(group) if group else ()), _heading(HEADINGS[setting.name])]
         example, commented = (
             EXAMPLE.get(setting.name, setting.default or {}),
             setting.name in COMMENTED,
@@ -79,14 +80,14 @@ def template() -> str:
     return "\n".join(parts)
 
 
-def _strangers(group: str | None) -> list[str]:
+def _strangers(group: str) -> list[str]:
     """Sections of bridges or processors of other packages, which run only if the user says so."""
     from tramstream.config import Vehicle
     from tramstream.live import registry
     from tramstream.settings_file import section
 
     found = []
-    for name in registry.names(group) if group else ():
+    for name in registry.names(group):
         if name in Vehicle.__struct_fields__:
             continue
         settings = getattr(registry.load(group, name), "Settings", None)
