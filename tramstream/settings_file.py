@@ -18,7 +18,7 @@ import itertools
 import json
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from decimal import Decimal
 from typing import Any, Literal
 
@@ -104,10 +104,26 @@ def section(
     return "\n".join(_written(made, set())) + "\n"
 
 
-def scalars(settings: type[msgspec.Struct], values: Mapping[str, Any] | None = None) -> str:
-    """Write those fields of a struct that are no sections, without a heading."""
+def scalars(
+    settings: type[msgspec.Struct],
+    values: Mapping[str, Any] | None = None,
+    *,
+    without: Collection[str] = (),
+) -> str:
+    """Write those fields of a struct that are no sections, without a heading.
+
+    Parameters
+    ----------
+    settings : type
+    values : mapping, optional
+        What is written instead of the defaults.
+    without : collection of str
+        Names of fields that are left out, for a file does not have them.
+    """
     given = values or {}
-    found = [each for each in settings_of(settings) if each.section is None]
+    found = [
+        each for each in settings_of(settings) if each.section is None and each.name not in without
+    ]
     return "\n".join(line for each in found for line in _lines(each, given, True, True)) + "\n"
 
 
@@ -204,7 +220,7 @@ def _words(type_: types.Type) -> str:
     if isinstance(type_, types.FloatType):
         return "number" + _bounds(type_)
     if isinstance(type_, types.StrType):
-        return "text" + (f", matching {type_.pattern}" if type_.pattern else "")
+        return "text"  # a pattern is the note's to explain; who misses it is shown it
     if isinstance(type_, types.BoolType):
         return "true or false"
     if isinstance(type_, types.LiteralType):

