@@ -146,6 +146,18 @@ def test_wrong_value_is_refused_with_its_path(text: str, path: str, words: str) 
     assert words in sentence
 
 
+def test_wrong_choice_is_refused_with_the_choices_and_the_nearest() -> None:
+    assert refused('vehicle = "t"\n[ekf]\nmodel = "trm"').endswith(
+        "$.ekf.model: 'trm' is none of the choices; did you mean tram? there are: kaspar2023, tram"
+    )
+
+
+def test_what_is_still_to_be_filled_in_is_refused_with_its_path() -> None:
+    assert "$.gnss.baud_rate: is still to be filled in" in refused(
+        'vehicle = "t"\n[gnss]\ndevice = "x"\nbaud_rate = "FILL IN"'
+    )
+
+
 @pytest.mark.parametrize("name", ["", "a b", "a/b", "*", "-a", "ü", "a" * 65])
 def test_vehicle_that_no_key_can_hold_is_refused(name: str) -> None:
     assert "$.vehicle" in refused(f'vehicle = "{name}"')

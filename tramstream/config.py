@@ -31,27 +31,31 @@ class Bus(Struct, frozen=True, kw_only=True):
     """Where the nodes of this vehicle meet."""
 
     runtime_dir: str = ""
-    """Folder of the bus' Unix socket, the clock file and the processors' snapshot. Empty: chosen
-    by `default_runtime_dir`."""
+    """Folder of the bus' Unix socket, the clock file and the processors' memory; private to one
+    user. Empty: TRAMSTREAM_RUNTIME_DIR, else /run/tramstream for root, else the user's own runtime
+    folder. A path longer than 90 characters does not fit a socket."""
 
 
 class Gnss(Struct, frozen=True, kw_only=True):
-    """A u-blox receiver (or any NMEA receiver) on a serial line."""
+    """A u-blox receiver, or any that speaks NMEA, on a serial line."""
 
     device: str
+    """Serial device of the receiver. Names under /dev/serial/by-id stay the same whatever is
+    plugged in first; /dev/ttyACM0 does not."""
     baud_rate: Count = 460800
+    """Bits a second, as the receiver is set; over USB any number will do."""
     receiver_delay_s: NotNegative = 0.1
-    """From the epoch until the first byte leaves the receiver when it is fastest; 0.10 to 0.22 s
-    observed with real receivers. Not observable without a time pulse."""
+    """Seconds from the epoch until the first byte leaves the receiver when it is fastest. Real
+    receivers took 0.10 to 0.22 s; it cannot be observed without a time pulse."""
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
-    """Antenna from the vehicle's origin, p_va_v."""
+    """Antenna from the vehicle's origin, p_va_v: forward, left, up."""
     max_accuracy_m: Positive = 100.0
-    """A fix whose receiver says worse than this is published but not valid."""
+    """A fix that the receiver itself says is worse than this is recorded but not used."""
     delay_std_s: NotNegative = 0.02
     """How well `receiver_delay_s` is known; the filter estimates the rest."""
     error_tau_s: Positive = 20.0
-    """Correlation time of a fix's error while the antenna moves: 0.95 a second (docs/theory.md,
-    section 3.4). Standing, the error only walks."""
+    """Neighbouring fixes share their error: its correlation time while the antenna moves, 0.95 a
+    second (docs/theory.md, section 3.4). Standing, the error only walks."""
     error_floor_m: Positive = 0.005
     """Least deviation of a fix on each axis, whatever the receiver says."""
 
@@ -60,146 +64,169 @@ class Imu(Struct, frozen=True, kw_only=True):
     """An ADIS16465 behind a microcontroller on a serial line (docs/imu-framing.md)."""
 
     device: str
+    """Serial device of the microcontroller; as `gnss.device`."""
     baud_rate: Count = 2_000_000
+    """Bits a second, as the microcontroller is set; over USB any number will do."""
     model: Literal["ADIS16465-1", "ADIS16465-2", "ADIS16465-3"] = "ADIS16465-1"
+    """The range of the gyroscopes: 125, 500 or 2000 °/s."""
     rate_hz: Annotated[float, Meta(gt=0, le=20_000)] = 2000.0
+    """Samples a second that the sensor gives."""
     batch: Annotated[int, Meta(ge=1, le=200)] = 20
-    """Samples per message: one message a window of the resampler."""
+    """Samples in a message: one message for each window of the resampler."""
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
-    """The case from the vehicle's origin, p_vb_v."""
+    """IMU case from the vehicle's origin, p_vb_v: forward, left, up."""
     mounting_deg: Vector = (0.0, 0.0, 0.0)
-    """Ψ = roll, pitch, yaw of the case: C_bv turns vehicle components into sensor axes
-    (docs/theory.md, section 1.2)."""
+    """How the case is turned, Ψ = roll, pitch, yaw: C_bv takes vehicle components into the
+    sensor's axes (docs/theory.md, section 1.2)."""
     mounting_std_deg: NotNegative = 1.0
     """How well `mounting_deg` is known on each axis; the filter estimates the rest."""
     delay_std_s: NotNegative = 0.002
-    """How well its stamps are known: the part of a found delay between fixes and IMU that is the
-    IMU's, against `gnss.delay_std_s`."""
+    """How well the stamps are known; a delay found between fixes and IMU is shared out by this and
+    `gnss.delay_std_s`."""
     gyro_noise_radps_rthz: Positive = 0.00011344
-    """N of the ADIS16465 in kaspar2023 (docs/theory.md, section 3.9), as are the next three."""
+    """White noise N of the gyroscopes. It and the three noises below are kaspar2023's of the
+    ADIS16465 (docs/theory.md, section 3.9)."""
     gyro_walk_radps2_rthz: Positive = 0.00007563
-    """K: random walk of the bias."""
+    """Random walk K of the gyroscopes' bias."""
     gyro_aliasing: NotNegative = 0.0
     """Part of what neighbouring readings of a rate differ by that is noise to the angle: vibration
     faster than the readings resolve. None where the IMU averages fast samples; about a third for
     one that is read at 100 Hz in a car (docs/accuracy.md)."""
     accel_noise_mps2_rthz: Positive = 0.00022563
+    """White noise N of the accelerometers."""
     accel_walk_mps3_rthz: Positive = 0.0000353
-    """B of docs/theory.md, section 3.9 walked within a second; its K is far below."""
+    """Random walk of the accelerometers' bias: B walked within a second; K is far below."""
     gyro_bias_std_radps: Positive = 0.01
-    """Turn-on bias; 0.3 °/s in docs/theory.md, section 3.9."""
+    """Bias of the gyroscopes when switched on; 0.3 °/s in docs/theory.md, section 3.9."""
     accel_bias_std_mps2: Positive = 0.15
-    """Turn-on bias; 0.1 m/s² in docs/theory.md, section 3.9."""
+    """Bias of the accelerometers when switched on; 0.1 m/s² in docs/theory.md, section 3.9."""
 
 
 class Signal(Struct, frozen=True, kw_only=True):
     """One signal of the DBC and what it means."""
 
     message: str
+    """Name of the message in the DBC."""
     signal: str
+    """Name of the signal in that message."""
     scale: Number = 1.0
-    """Physical value of the DBC times `scale` is pulses, m/s, 0/1 or newtons."""
+    """The DBC's physical value times `scale` is 0 or 1, or newtons."""
 
 
 class Wheel(Struct, frozen=True, kw_only=True):
-    """One wheel: pulses since the last message, a free-running counter, or a speed."""
+    """One wheel as the DBC has it."""
 
     message: str
+    """Name of the message in the DBC."""
     signal: str
+    """Name of the signal in that message."""
     kind: Literal["pulses", "counter", "speed"]
+    """pulses: since the last message; counter: free running, wraps; speed: of the wheel's rim."""
     scale: Number = 1.0
-    """To pulses, or to m/s (a DBC in km/h wants 0.2777777777777778)."""
+    """The DBC's physical value times `scale` is pulses, or m/s (from km/h: 0.2777777777777778)."""
     counter_bits: Annotated[int, Meta(ge=1, le=63)] = 16
-    """Where a counter wraps."""
+    """A counter wraps after so many bits."""
     side: Literal["", "left", "right", "middle"] = ""
-    """Where the wheel is; empty: by its name if that is left or right, else the middle."""
+    """Where the wheel is. Empty: by its name if that is left or right, else the middle."""
 
 
 class Odometer(Struct, frozen=True, kw_only=True):
     """Wheels, doors and motor force from a CAN bus."""
 
     interface: str = "socketcan"
-    """Any interface of python-can: socketcan, slcan, virtual, udp_multicast, …"""
+    """Any interface of python-can: socketcan, slcan, virtual, udp_multicast …"""
     channel: str
+    """Name of the CAN interface; with slcan, a serial device."""
     bitrate: Count = 500_000
+    """Bits a second. Of a socketcan interface the system sets it:
+    `ip link set can0 up type can bitrate 500000`."""
     dbc: str
+    """File that describes the frames of the vehicle bus."""
     wheels: dict[str, Wheel]
+    """One section for each wheel (or bogie, or drive); the name is free."""
     doors_open: Signal | None = None
+    """1 while a door is open. Leave it out if the bus does not tell."""
     motor_force_n: Signal | None = None
+    """Newtons of motors and brakes, positive forward. Leave it out if the bus does not tell."""
     silence_s: Positive = 2.0
-    """No frame for so long: the interface is looked at and opened again."""
+    """Without a frame for so long, the interface is looked at and opened again."""
 
 
 class Wheels(Struct, frozen=True, kw_only=True):
     """What the wheels' readings mean."""
 
     m_per_pulse: Positive = 0.00092038845
-    """2π·0.3 m / 2048 (docs/theory.md, section 3.5): the reference vehicle's wheel."""
+    """Way of a pulse. The reference vehicle's wheel has 0.3 m radius and 2048 pulses a turn:
+    `2π · 0.3 / 2048` (docs/theory.md, section 3.5)."""
     track_m: Positive = 1.435
-    """Between left and right wheel."""
+    """Distance between left and right wheel."""
     scale_std: Positive = 0.03
-    """How well `m_per_pulse` or a wheel's speed is known: a worn tyre is 4 to 5 % smaller than a
-    new one (docs/theory.md, section 3.5: +12 and +16 mm of 300)."""
+    """How well `m_per_pulse`, or a wheel's speed, is known, as a part of it: a worn tyre is 4 to
+    5 % smaller than a new one (docs/theory.md, section 3.5). The filter learns it."""
     delay_s: Number = 0.0
-    """From the instant that a reading describes until its arrival."""
+    """Time from the instant that a reading describes until its arrival."""
     delay_std_s: NotNegative = 0.003
+    """How well `delay_s` is known; the filter learns the rest."""
     stamp_std_s: NotNegative = 0.002
     """Jitter of a reading's arrival, on the CAN bus and in the adapter."""
     speed_std_mps: Positive = 0.05
-    """Of a wheel that gives a speed instead of pulses."""
+    """Deviation of a wheel that gives a speed instead of pulses."""
     yaw_rate_std_radps: Positive = 0.01
-    """Of the vehicle bus' own yaw-rate sensor, where there is one."""
+    """Deviation of the vehicle bus' own yaw-rate sensor, where there is one."""
 
 
 class Resampler(Struct, frozen=True, kw_only=True):
-    """2 kHz to 100 Hz, and the order of everything."""
+    """Inertial samples averaged, and everything put in order."""
 
     factor: Annotated[int, Meta(ge=1, le=1000)] = 20
+    """Inertial samples that become one of the ordered stream: 2000 Hz / 20 = 100 Hz."""
     method: Literal["mean", "lowpass"] = "mean"
-    """mean: kaspar2023, averages `factor` samples. lowpass: pusman2017, decimating FIR."""
+    """mean: of `factor` samples, as kaspar2023. lowpass: a decimating FIR filter, as pusman2017."""
     cutoff_hz: Positive = 16.0
-    """Of the low-pass (pusman2017)."""
+    """Cutoff of the low-pass (pusman2017)."""
     max_bridge_samples: Annotated[int, Meta(ge=0, le=20_000)] = 20
-    """Longest gap that is interpolated and marked: 10 ms at 2 kHz."""
+    """Longest gap that is interpolated and marked; 20 samples are 10 ms at 2000 Hz."""
     horizon_lag_s: Annotated[float, Meta(ge=0, le=60)] = 0.3
-    """The fusion horizon behind the newest inertial sample: the latest GNSS fix that still counts
-    (observed delays up to 0.22 s, and reading)."""
+    """The ordered stream ends (the fusion horizon) so far behind the newest inertial sample. What
+    comes later is counted and not used; GNSS fixes took up to 0.22 s, and reading."""
     imu_silence_s: Positive = 0.5
-    """Without an inertial sample for so long, ticks move the horizon."""
+    """Without inertial samples for so long, time alone (ticks) moves the stream on."""
 
 
 class Distance(Struct, frozen=True, kw_only=True):
-    """The travelled-distance filter of konecny2004."""
+    """Travelled distance and speed: the filter of konecny2004."""
 
     acceleration_std_mps2: Positive = 1.0
-    """White acceleration between measurements: trams brake with 1 m/s² in service."""
+    """How much the speed may change, as white acceleration between measurements: trams brake with
+    about 1 m/s² in service."""
     gate_sigma: Positive = 5.0
+    """A measurement further away than so many standard deviations is refused, and counted."""
 
 
 class Ekf(Struct, frozen=True, kw_only=True):
     """The localisation filter."""
 
     model: Literal["tram", "kaspar2023"] = "tram"
-    """tram: ours. kaspar2023: the 25 states of the work, for comparison."""
+    """tram: ours. kaspar2023: the 25 states of that work, to compare."""
     integrity_risk: Annotated[float, Meta(gt=0, le=0.1)] = 0.001
     """Share of time that the true error may exceed the protection level, along or across."""
     wheel_creep_m_rtm: NotNegative = 0.0002
-    """Creep of a rolling wheel: deviation of its path after one metre; it walks."""
+    """How a rolling wheel creeps: deviation of its path after a metre of way; it walks."""
     force_std_mps2_rthz: NotNegative = 0.003
     """Specific force along the track that is no motion: the body's pitching, vibration."""
     sway_std_mps2_rthz: NotNegative = 0.002
-    """Lateral specific force that is neither curve nor cant."""
+    """Specific force across the track that is neither curve nor cant."""
     vertical_std_mps2_rthz: NotNegative = 0.0
-    """The same along z: the vertical force then watches over the pitch, which pays on a road, where
-    jolts deceive the gyroscopes. 0: it is not used."""
+    """Vertical specific force that is no motion: the force then watches over the pitch, which pays
+    on a road, where jolts deceive the gyroscopes. 0: it is not used."""
     side_slip_std_m_rts: NotNegative = 0.0
     """Way to the side after a second, which walks: none on rails, centimetres on a road."""
     heave_std_m_rts: NotNegative = 0.002
-    """The same upwards: springs, and the body's pitch against the track's."""
+    """Way upwards after a second, which walks: springs, the body's pitch against the track's."""
     pivot_m: Number = 0.0
     """The vehicle's origin before the point that does not slip sideways: a bogie, a rear axle."""
     pivot_std_m: NotNegative = 0.0
-    """How well that is known; the filter learns the rest."""
+    """How well `pivot_m` is known; the filter learns the rest."""
     acceleration_std_mps2_rthz: Positive = 0.7
     """How the speed may change where no accelerometer tells."""
     tilt_std_rad_rts: Positive = 0.005
@@ -207,42 +234,51 @@ class Ekf(Struct, frozen=True, kw_only=True):
 
 
 class Map(Struct, frozen=True, kw_only=True):
-    """The track network."""
+    """The track network onto which the filter is put; without this section it has no map."""
 
     network: str
     """File that `tramstream map build` wrote."""
     std_m: Positive = 0.5
-    """Deviation across of the mapped tracks from the rails, beside what the network itself states:
-    what whole stretches have in common. σ_map of kaspar2023 (docs/theory.md, section 11.3)."""
+    """How far whole stretches of the mapped tracks lie beside the rails (deviation across), beyond
+    what the network itself states: σ_map of kaspar2023 (docs/theory.md, section 11.3)."""
     correlation_m: Positive = 30.0
-    """Length of such a stretch."""
+    """Length of track over which `std_m` is one and the same error."""
 
 
 class Recorder(Struct, frozen=True, kw_only=True):
-    """Where and how records are written."""
+    """Where and how records are written: about 400 MB an hour with all three devices."""
 
     directory: str = "records"
+    """Folder of the records."""
     split_s: Positive = 300.0
+    """A new file begins after so long."""
     split_bytes: Annotated[int, Meta(ge=1, le=1_000_000_000_000)] = 1_000_000_000
+    """A new file begins after so much."""
     flush_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
-    """A chunk is closed and synced this often; what a power cut takes is younger than that."""
+    """A chunk is closed and synced this often: what a power cut takes is younger than that."""
     free_space_floor_bytes: Annotated[int, Meta(ge=0, le=1_000_000_000_000_000)] = 500_000_000
-    """Below this the oldest unprotected record is deleted first."""
+    """With less free space than this the oldest record is deleted, unless it is protected."""
     exclude: tuple[str, ...] = ()
-    """Key expressions, relative to `tram/<vehicle>/`, that are not recorded."""
+    """Key expressions, relative to tram/<vehicle>/, that are not recorded: "raw/gnss/satellites",
+    "raw/*/bytes" …"""
 
 
 class Simulator(Struct, frozen=True, kw_only=True):
-    """A device that does not exist: speaks a real device's bytes on a pseudo terminal."""
+    """A device to try things without hardware: speaks a real one's bytes on a pseudo terminal."""
 
     kind: Literal["ride", "gnss_file", "can_file", "imu_still"]
-    """ride: all three devices on a simulated ride. gnss_file, can_file: captured bytes at their
-    own pace. imu_still: an IMU that stands still."""
+    """ride: all three devices on a simulated ride. gnss_file, can_file: captured bytes at their own
+    pace. imu_still: an IMU at rest."""
     link: str = ""
-    """Path at which the pseudo terminal appears; a ride appends .gnss, .imu and .can."""
+    """Path at which the pseudo terminal appears. A ride has three: <link>.gnss, <link>.imu and
+    <link>.can; name those as gnss.device, imu.device and odometer.channel (with
+    `odometer.interface = "slcan"`)."""
     file: str = ""
+    """Captured bytes of gnss_file or can_file."""
     seed: int = 0
+    """Seed of the devices' noise: the same bytes for the same seed."""
     loop: bool = False
+    """Whether captured bytes come again and again."""
 
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -252,6 +288,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """Everything about one vehicle."""
 
     vehicle: VehicleId
+    """Name of the vehicle in all keys (tram/<vehicle>/…) and file names: letters, digits, _ . -"""
     processors: tuple[Name, ...] = ("resampler", "ekf", "distance")
     """Which processors run, by the names under which they are registered. What is installed and
     not named here does not run."""

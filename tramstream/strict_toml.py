@@ -15,6 +15,8 @@ from tramstream.input_file import TEXT_LIMIT_BYTES
 
 _DEEP_KEY = re.compile(rb"""(?:\.[ \t]*(?:[\w-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')[ \t]*){40}""")
 """A key of forty parts: Python's parser takes time with the square of them."""
+FILL_IN = "FILL IN"
+"""Stands in a written configuration where only the user knows what belongs there."""
 Decoded = TypeVar("Decoded", bound=msgspec.Struct)
 
 
@@ -82,12 +84,18 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
     Raises
     ------
     ValueError
-        For an unknown field, with the nearest known ones, and for nan and infinity.
+        For an unknown field or choice, with the nearest known ones, for nan and infinity, and for
+        what is still to be filled in.
     """
+    if value == FILL_IN:
+        raise ValueError(f"{path}: is still to be filled in; write the value of this vehicle")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{path}: {value} is not a finite number")
     if isinstance(expected, msgspec.inspect.UnionType):
         expected = _chosen(expected, value)
+    if isinstance(expected, msgspec.inspect.LiteralType) and value not in expected.values:
+        choices = [str(choice) for choice in expected.values]
+        raise ValueError(_unknown(path, f"{value!r} is none of the choices", str(value), choices))
     if isinstance(value, list):
         item_type = getattr(expected, "item_type", msgspec.inspect.AnyType())
         for index, item in enumerate(value):
@@ -101,7 +109,7 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
             known[expected.tag_field] = msgspec.inspect.AnyType()
         for name, item in value.items():
             if name not in known:
-                raise ValueError(_unknown(f"{path}.{name}", name, list(known)))
+                raise ValueError(_unknown(f"{path}.{name}", "unknown field", name, list(known)))
             _check(item, known[name], f"{path}.{name}")
 
 
@@ -115,7 +123,7 @@ def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Typ
     return structs[0] if structs else msgspec.inspect.AnyType()
 
 
-def _unknown(path: str, name: str, known: list[str]) -> str:
+def _unknown(path: str, what: str, name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known, n=2)
     guess = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"{path}: unknown field; {guess}there are: {', '.join(known)}"
+    return f"{path}: {what}; {guess}there are: {', '.join(each or repr('') for each in known)}"

@@ -1,4 +1,4 @@
-"""init: the template holds every field with its default, loads, and overwrites nothing."""
+"""init: its file holds every field with its note and default, loads, and overwrites nothing."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ import pytest
 from looking import tramstream
 
 from tramstream import config, config_file, plugins
-from tramstream.cli.init import CONFIG_NAME, DBC_NAME, TEMPLATE, init
+from tramstream.cli.init import COMMENTED, CONFIG_NAME, DBC_NAME, EXAMPLE, init, template
 from tramstream.errors import ConfigError
 from tramstream.live import registry
+from tramstream.settings_file import notes_of
 
 SETTING = re.compile(r"^#(?=\[|\w+ = )", re.MULTILINE)
 """A commented-out line of TOML; prose has a blank behind its #."""
+TEMPLATE = template()
 
 
 def everything() -> dict:
@@ -63,6 +65,68 @@ def test_template_names_every_field_with_its_default():
     assert [text for text in found if not text.startswith(example)] == []
 
 
+def structs(struct: type[msgspec.Struct], name: str) -> dict[str, type[msgspec.Struct]]:
+    """A struct and all within it, by the path at which the template has them first."""
+    found = {name: struct}
+    for field in msgspec.structs.fields(struct):
+        inner = struct_of(field.type)
+        if inner is not None and inner not in found.values():
+            path = f"{name}.{field.name}".removeprefix(".")
+            key = next(iter(everything_at(path)), "") if is_table(field.type) else ""
+            found |= {
+                each: type_
+                for each, type_ in structs(inner, f"{path}.{key}".removesuffix(".")).items()
+                if type_ not in found.values()
+            }
+    return found
+
+
+def is_table(type_) -> bool:
+    return typing.get_origin(type_) is dict
+
+
+def everything_at(path: str) -> dict:
+    found = everything()
+    for part in path.split("."):
+        found = found[part]
+    return found
+
+
+STRUCTS = structs(config.Vehicle, "")
+
+
+@pytest.mark.parametrize("path", STRUCTS)
+def test_every_setting_is_explained_once_right_above_its_line(path):
+    """A field without a note, here or in a struct that is to come, fails."""
+    struct, lines = STRUCTS[path], TEMPLATE.splitlines()
+    notes = notes_of(struct)
+    heads = [index for index, line in enumerate(lines) if re.match(r"#?\[", line)]
+    if path:
+        (start,) = (index for index in heads if lines[index].lstrip("#") == f"[{path}]")
+        assert lines[start - 1].startswith("# "), f"[{path}] is not explained"
+    else:
+        start = 0
+    end = min((index for index in heads if index > start), default=len(lines))
+    for field in msgspec.structs.fields(struct):
+        if struct_of(field.type) is not None or field.name == config_file.SECTIONS:
+            continue
+        assert notes.get(field.name), f"{struct.__name__}.{field.name} has no note below it"
+        (at,) = (
+            index for index in range(start, end) if re.match(rf"#?{field.name} = ", lines[index])
+        )
+        note = lines[at - 1 : at]
+        while lines[at - len(note) - 1].startswith("# "):
+            note = [lines[at - len(note) - 1], *note]
+        text = " ".join(line.removeprefix("# ") for line in note)
+        assert text.startswith(" ".join(notes[field.name].split()))
+
+
+def test_template_gives_exactly_the_defaults_and_the_example():
+    shown = {name: each for name, each in EXAMPLE.items() if name not in COMMENTED}
+    given = tomllib.loads(TEMPLATE)
+    assert msgspec.convert(given, config.Vehicle) == msgspec.convert(shown, config.Vehicle)
+
+
 def test_template_loads_as_it_is_and_with_every_setting_taken_in(tmp_path):
     vehicle = config_file.parse(TEMPLATE.encode(), "t", tmp_path)
     assert vehicle.simulators == {}
@@ -106,3 +170,55 @@ def test_init_as_a_command_ends_with_2_if_there_is_one(tmp_path):
     again = tramstream("init", tmp_path)
     assert again.returncode == 2
     assert len(again.stderr.splitlines()) == 1
+
+
+class Bell(msgspec.Struct, frozen=True):
+    """Rings at every stop."""
+
+    pin: int
+    """Pin of the relay."""
+    pause_s: float = 0.5
+    """Between two strokes."""
+
+
+class Chime:
+    """A processor, or a bridge, of another package."""
+
+    Settings = Bell
+
+
+class Plain:
+    """One without settings."""
+
+    Settings = None
+
+
+@pytest.fixture
+def strangers(monkeypatch):
+    """A bridge and two processors of another package, installed beside ours."""
+    ours, load = plugins.names, plugins.load
+    theirs = {"bridges": {"gong": Chime}, "processors": {"chime": Chime, "plain": Plain}}
+    monkeypatch.setattr(plugins, "names", lambda group: [*ours(group), *theirs.get(group, {})])
+    monkeypatch.setattr(
+        plugins, "load", lambda group, name: theirs.get(group, {}).get(name) or load(group, name)
+    )
+
+
+def test_sections_of_other_packages_are_there_and_switch_nothing_on(strangers, tmp_path):
+    text = template()
+    assert tomllib.loads(text) == tomllib.loads(TEMPLATE)
+    added = [line for line in text.splitlines() if line not in TEMPLATE.splitlines()]
+    body = [
+        "# Rings at every stop.",
+        "#[gong]",
+        "# Pin of the relay.",
+        '#pin = "FILL IN"  # whole number',
+        "# Between two strokes.",
+        "#pause_s = 0.5",
+    ]
+    when = ("this section is there", "`processors` above names it")
+    assert added == [
+        line.replace("gong", name)
+        for name, reason in zip(("gong", "chime"), when, strict=True)
+        for line in (f"# Of another package; it runs if {reason}.", *body)
+    ]
