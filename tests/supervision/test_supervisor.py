@@ -392,7 +392,7 @@ def left_behind(
         supervisor=Proc(os.getpid(), 1),
         claimed=True,
         command=("run",),
-        configuration=config_file.digest(scene.vehicle),
+        configuration=config_file.text_digest(config_file.to_json(scene.vehicle)),
         nodes={name: process for name, process in nodes.items() if process is not None},
         lost=7,
     )
