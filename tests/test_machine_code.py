@@ -71,7 +71,10 @@ def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
     done = finished(
         [sys.executable, "-c", WARM_START, str(network)],
         check=True,
-        env={**os.environ, "PYTHONPATH": str(Path(networks.__file__).parent)},
+        env={
+            **os.environ,
+            "PYTHONPATH": f"{Path(__file__).parent}:{Path(networks.__file__).parent}",
+        },
     )
     assert done.stdout.strip() == "['<lambda>']"
 

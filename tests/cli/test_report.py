@@ -271,11 +271,11 @@ def test_truth_of_another_record_is_used(tmp_path):
     ride = MadeUpRide(30.0)
     other = write(tmp_path / "truth.mcap", ride.truth())
     path = write(tmp_path / "states.mcap", ride.estimate(keys.EST_STATE))
-    assert collect(path, str(other), "").ride.truth is not None
+    assert collect(path, str(other), "", print).ride.truth is not None
 
 
 def test_smoothed_states_may_stand_for_the_filter(ride):
-    material = collect(ride, "", keys.EST_SMOOTHED.path)
+    material = collect(ride, "", keys.EST_SMOOTHED.path, print)
     assert material.states is material.smoothed
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tramstream.bridges.imu import framer as adis
 from tramstream.bridges.imu.framer import FRAME_LENGTH, AdisFramer, Bursts, Rejected
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "imu-framing.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "imu-framing.md"
 
 
 def frames(count: int, first: int = 1) -> bytes:
