@@ -70,7 +70,7 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
 def rerun(
     source: Path,
     out: Path,
-    config: Path | None,
+    config: Path | Vehicle | None,
     check: bool = False,
     fresh: bool = False,
     smooth: bool = False,
@@ -79,7 +79,7 @@ def rerun(
 
     Parameters
     ----------
-    config : Path or None
+    config : Path, Vehicle or None
         Configuration to use instead of the record's own.
     check : bool
         Compare with the outputs in the record.
@@ -93,7 +93,8 @@ def rerun(
     RecordError, ConfigError
     """
     with open_record(source) as record:
-        vehicle = config_file.load(config) if config is not None else vehicle_of(record, source)
+        vehicle = config_file.load(config) if isinstance(config, Path) else config
+        vehicle = vehicle or vehicle_of(record, source)
         consumers = {registry.PROCESSORS, *plugins.names("processors")}
         plan = Plan() if fresh else read_plan(record, consumers)
         plan.settings = _settings(record, vehicle, config is not None)
