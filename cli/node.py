@@ -15,12 +15,12 @@ def node(
     config: Annotated[Path, typer.Argument(help="Vehicle configuration.")],
 ) -> None:
     """Run one node."""
-    from tramstream import machine_code
+    from tramstream import compilation
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.live import registry
     from tramstream.supervision.process import run_node
 
     stop = stop_on_signals()
     if name in (registry.PROCESSORS, *registry.names("processors")):
-        machine_code.ensure(say)
+        compilation.ensure(say)
     run_node(name, config, stop)

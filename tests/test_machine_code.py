@@ -57,7 +57,7 @@ def interrupt(_: str) -> None:
 
 @pytest.mark.live
 def test_warm_start_does_not_compile() -> None:
-    machine_code.ensure(print)
+    compilation.ensure(print)
     done = finished([sys.executable, "-c", WARM_START], check=True)
     assert done.stdout.strip() == "['<lambda>']"
 
@@ -65,7 +65,7 @@ def test_warm_start_does_not_compile() -> None:
 @pytest.mark.live
 def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
     """A network of several tracks, out of a file, and all processors."""
-    machine_code.ensure(print)
+    compilation.ensure(print)
     network = tmp_path / "switch.tracks"
     networks.switch().network.save(network)
     done = finished(
@@ -100,15 +100,15 @@ def test_machine_code_that_is_whole_is_not_waited_for(
     machine_code.folder.cache_clear()
     try:
         machine_code.mark_complete()
-        machine_code.ensure(pytest.fail)
+        compilation.ensure(pytest.fail)
         torn = machine_code.folder() / "kernel.nbi"
         torn.touch()
         with pytest.raises(InterruptedError):
-            machine_code.ensure(interrupt)
+            compilation.ensure(interrupt)
         machine_code.clear()
         assert not torn.exists()
         machine_code.mark_complete()
-        machine_code.ensure(pytest.fail)
+        compilation.ensure(pytest.fail)
         for number in range(machine_code.KEPT + 2):
             (tmp_path / "tramstream" / f"old{number}").mkdir()
         machine_code.mark_complete()

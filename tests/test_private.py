@@ -165,7 +165,7 @@ def test_vehicle_starts_where_both_folders_are_strangers(
     assert machine_code.folder() == found  # what this process starts uses the same
     said: list[str] = []
     machine_code.mark_complete()
-    machine_code.ensure(said.append)
+    compilation.ensure(said.append)
     assert len(said) == 2
     assert all("is not taken from there" in text and str(found) in text for text in said)
 

@@ -1,8 +1,11 @@
 """Where compiled kernels are kept, and that they are there before a vehicle needs them.
 
-One folder a state of our sources: numba itself notices when the file of a kernel changes, but not
-when that of another kernel does which it calls. Compiling all of them takes about as long as
-starting a vehicle should not; so it is done before, once, in a process of its own.
+One folder for all states of our sources, all checkouts and installations of a user: the name of a
+file says what it is the code of (`tramstream/kernels.py`). Compiling all kernels takes longer than
+starting a vehicle should; so it is done before, once, in processes of its own
+(`tramstream/compilation.py`), and a file `complete-<state>` lists what these sources need. What
+nobody has used for `KEPT_DAYS` is removed, and what was used longest ago when all take more than
+`KEPT_BYTES`.
 """
 
 from __future__ import annotations
@@ -10,52 +13,55 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import platform
 import shutil
 import stat
-import subprocess
-import sys
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Iterable
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
 from tramstream import private
 
-KEPT = 4
-"""Folders of other states of the sources that are kept: another installation may use them."""
-_COMPLETE = "complete"
-_COMPILER = "tramstream.processors.warm_up"
+KEPT_DAYS = 90.0
+KEPT_BYTES = 1_000_000_000
+"""All kernels of one state of the sources take 8 MB."""
+YOUNG_DAYS = 1.0
+"""Time within which no file is removed however much there is: a vehicle may be starting with it."""
+_NAME = "kernels"
+_DAY_S = 86400.0
 _refused: list[str] = []
 
 
 @cache
 def folder() -> Path:
-    """Folder of the machine code that belongs to these sources; made if need be.
+    """Folder of all machine code of this user; made if need be.
 
     What lies in it is run, so it is this user's alone (`tramstream.private`), and so is every file
     in it. A folder of this user that others could write in is emptied; where somebody else's lies
     in the way, and in the folder for temporary files too, a new one is made, which all processes
     that this one starts share.
     """
-    name = _state_of_sources()
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     temporary = Path(tempfile.gettempdir()) / f"tramstream-{os.geteuid()}"
     for place in (root / "tramstream", temporary):
         try:
             doubt = _emptied(place) if os.path.lexists(place) else private.make(place)
-            doubt = doubt or private.make(place / name)
-            for each in () if doubt else private.close(place / name):
+            doubt = doubt or private.make(place / _NAME)
+            for each in () if doubt else private.close(place / _NAME):
                 _remove(each)
         except OSError:  # a vehicle whose root file system is read-only
             continue
         if not doubt:
-            return place / name
+            return place / _NAME
         _refused.append(f"{place}: {doubt}; machine code is not taken from there")
     made = Path(tempfile.mkdtemp(prefix="tramstream-"))
     os.environ["XDG_CACHE_HOME"] = str(made)
-    private.make(made / "tramstream" / name)
-    return made / "tramstream" / name
+    private.make(made / "tramstream" / _NAME)
+    return made / "tramstream" / _NAME
 
 
 def refused() -> list[str]:
@@ -63,15 +69,31 @@ def refused() -> list[str]:
     return list(_refused)
 
 
-def _state_of_sources() -> str:
-    digest = hashlib.sha256(version("numba").encode())
+@cache
+def state() -> str:
+    """Digest of all that decides which kernels a vehicle needs: sources, compiler, processor."""
+    digest = hashlib.sha256(platform.python_version().encode())
+    for package in ("numba", "llvmlite", "numpy"):
+        digest.update(version(package).encode())
+    for name, value in sorted(os.environ.items()):
+        if name.startswith("NUMBA_"):
+            digest.update(f"{name}={value}".encode())
+    digest.update(_processor())
     spec = importlib.util.find_spec("tramstream.processors")
     places = spec.submodule_search_locations if spec is not None else None
     for place in (Path(__file__).parent, *map(Path, places or ())):
         for file in sorted(place.rglob("*.py")):
-            status = file.stat()
-            digest.update(f"{file}{status.st_size}{status.st_mtime_ns}".encode())
+            digest.update(f"{file.relative_to(place)} {file.stat().st_size} ".encode())
+            digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _processor() -> bytes:
+    """What the kernel says of the first processor: a disk may be moved to another machine."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_bytes().partition(b"\n\n")[0].splitlines()
+        return b"".join(each for each in lines if each.startswith((b"model name", b"flags")))
+    return platform.processor().encode()
 
 
 def _emptied(place: Path) -> str:
@@ -100,40 +122,62 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def ensure(say: Callable[[str], None]) -> None:
-    """See to it that all kernels are compiled; says so when that has to be waited for."""
-    here = folder()
-    for sentence in _refused:
-        say(f"{sentence} (machine code is kept in {here})")
-    if _whole():
-        return
-    say("compiling the filters for this machine; once, it takes about half a minute")
-    subprocess.run([sys.executable, "-m", _COMPILER], check=True)
+def whole() -> bool:
+    """Whether all kernels are there; one that a power cut has emptied, or that is gone, is not."""
+    complete = _complete()
+    try:
+        names = complete.read_text().splitlines()
+        there = all((complete.parent / each).stat().st_size for each in names)
+    except FileNotFoundError:
+        return False
+    with suppress(OSError):  # a read-only disk: nobody prunes there either
+        os.utime(complete)
+    return there
 
 
-def _whole() -> bool:
-    """Whether all kernels are there; a file that a power cut has emptied says that they are not."""
-    here = folder()
-    return (here / _COMPLETE).exists() and all(
-        each.stat().st_size for each in here.rglob("*.nb?") if each.is_file()
-    )
+def mark_complete(names: Iterable[str]) -> None:
+    """Remember that all kernels of these sources are there, on disk for good; remove old ones.
 
-
-def clear() -> None:
-    """Remove what is there: a compilation that a power cut has ended leaves torn files."""
-    here = folder()
-    for each in (here / _COMPLETE, *here.rglob("*.nb?")):
-        each.unlink(missing_ok=True)
-
-
-def mark_complete() -> None:
-    """Remember that all kernels are there, on disk for good; forget folders of older sources."""
-    here = folder()
+    Parameters
+    ----------
+    names : iterable of str
+        The files that they are in.
+    """
     os.sync()
-    (here / _COMPLETE).touch()
-    others = sorted(
-        (each for each in here.parent.iterdir() if each.is_dir() and each != here),
-        key=lambda each: each.stat().st_mtime,
-    )
-    for old in others[:-KEPT]:
-        shutil.rmtree(old, ignore_errors=True)
+    private.write(_complete(), "".join(f"{each}\n" for each in sorted(names)).encode())
+    os.sync()
+    prune(KEPT_BYTES, KEPT_DAYS, time.time())
+
+
+def _complete() -> Path:
+    return folder() / f"complete-{state()}"
+
+
+def prune(most_bytes: int, most_days: float, now_s: float) -> None:
+    """Remove what was not used for long; and more, oldest first, while there is too much.
+
+    What a list of complete kernels names was used when the list was. Folders of versions before
+    0.9, one for each state of their sources, go by their age too.
+    """
+    here = folder()
+    used_s: dict[Path, float] = {}
+    for each in here.iterdir():
+        with suppress(FileNotFoundError):  # another process prunes too
+            used_s[each] = max(each.stat().st_mtime, used_s.get(each, 0.0))
+    for complete in [each for each in used_s if each.name.startswith("complete-")]:
+        with suppress(FileNotFoundError):
+            for name in complete.read_text().splitlines():
+                path = here / name
+                if path in used_s:
+                    used_s[path] = max(used_s[path], used_s[complete])
+    used_s.pop(here / "lock", None)
+    sizes = {each: each.stat().st_size for each in used_s if each.exists()}
+    total = sum(sizes.values())
+    for each in sorted(sizes, key=used_s.__getitem__):
+        age_days = (now_s - used_s[each]) / _DAY_S
+        if age_days > most_days or (total > most_bytes and age_days > YOUNG_DAYS):
+            each.unlink(missing_ok=True)
+            total -= sizes[each]
+    for old in here.parent.iterdir():
+        if old != here and old.is_dir() and now_s - old.stat().st_mtime > most_days * _DAY_S:
+            shutil.rmtree(old, ignore_errors=True)
