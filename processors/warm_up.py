@@ -72,7 +72,7 @@ def _match() -> None:
     """Look for the track and follow it, before the heading is known and after."""
     line = built_in_line()
     network = _one_track(line)
-    matcher = Matcher(network, Map())
+    matcher = Matcher(network, Map(network=""))
     frame = MapFrame(network, line.level)
     for k in range(40):
         place = line.position_l(np.array([2.0 * k]))[0]

@@ -1,9 +1,9 @@
-"""All kernels compiled before a vehicle needs them: by two processes side by side, said and bounded.
+"""All kernels compiled before a vehicle needs them: by two processes side by side.
 
 Each process goes through all parts of the warm-up (`processors/warm_up.py`), each beginning with
 another one. What one has compiled the other loads, and what is being compiled is waited for, so the
-work divides itself. What is compiled is kept at once: whoever is killed has lost one kernel, and one
-process that lives finishes what two began.
+work divides itself. What is compiled is kept at once: whoever is killed has lost one kernel, and
+one process that lives finishes what two began.
 
 No node is started meanwhile. A filter that compiles in a running vehicle is silent for longer than
 the five seconds after which a supervisor takes it for frozen, and its first minute of data is lost.
@@ -28,7 +28,7 @@ from tramstream.errors import MachineCodeError
 PROCESSES = 2
 """The work has two parts of about equal length; a third process would wait for them."""
 POLL_S = 0.1
-SAY_AGAIN_S = 5.0
+SAY_AGAIN_S = 10.0
 STUCK_S = 300.0
 """A compilation by another process that has made no file for so long is not waited for."""
 _COMPILER = "tramstream.processors.warm_up"
