@@ -40,6 +40,7 @@ with event.install_recorder("numba:compile") as recorder:
     numba.njit(lambda: 0)()  # what is compiled is seen
 print([each.data["dispatcher"].__name__ for _, each in recorder.buffer if each.is_start])
 """
+HERE = (Path(__file__).parent, Path(networks.__file__).parent)
 RIDE_S = 75.0
 """Over the switch."""
 
@@ -150,7 +151,7 @@ def test_warm_start_with_a_map_does_not_compile(tmp_path: Path) -> None:
     done = finished(
         [sys.executable, "-c", WARM_START, str(network)],
         check=True,
-        env={**os.environ, "PYTHONPATH": str(Path(networks.__file__).parent)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, HERE))},
     )
     assert done.stdout.strip() == "['<lambda>']"
 
