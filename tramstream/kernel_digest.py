@@ -42,10 +42,11 @@ def digest_of_type(kind: Any) -> str:
 
 def _type(kind: Any) -> Iterator[str]:
     yield str(kind)
+    members: Any = kind  # numba tells the type checker little
     if isinstance(kind, types.BaseNamedTuple):
-        yield from _named(kind.instance_class)
+        yield from _named(members.instance_class)
     if isinstance(kind, types.BaseTuple):
-        for each in kind:
+        for each in members:
             yield from _type(each)
     if isinstance(kind, types.Array):
         yield from _type(kind.dtype)

@@ -24,14 +24,13 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import llvmlite
 import numba
-from numba.core import compiler
+from numba.core import compiler, serialize
 from numba.core.caching import _Cache
-from numba.core.serialize import dumps
 
 from tramstream import machine_code, private
 from tramstream.kernel_digest import digest_of_function, digest_of_type
@@ -86,7 +85,8 @@ class KernelCache(_Cache):
             return None
         self._release(path)
         _used.add(path.name)
-        return compiler.CompileResult._rebuild(target_context, *reduced)
+        result: Any = compiler.CompileResult
+        return result._rebuild(target_context, *reduced)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled."""
@@ -94,7 +94,8 @@ class KernelCache(_Cache):
             return
         path = self._path(sig, data.codegen)
         if not data.lifted and not data.library.has_dynamic_globals:
-            payload = dumps(data._reduce())
+            pickler: Any = serialize
+            payload = pickler.dumps(data._reduce())
             private.write(path, hashlib.sha256(payload).digest() + payload)
             _used.add(path.name)
         self._release(path)
@@ -133,7 +134,7 @@ def used() -> frozenset[str]:
 
 @cache
 def _compiler() -> str:
-    return f"{platform.python_version()} {numba.__version__} {llvmlite.__version__}"
+    return f"{platform.python_version()} {numba.__version__} {version('llvmlite')}"
 
 
 def _read(path: Path) -> Any:
