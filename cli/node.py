@@ -15,12 +15,13 @@ def node(
     config: Annotated[Path, typer.Argument(help="Vehicle configuration.")],
 ) -> None:
     """Run one node."""
-    from tramstream import machine_code, plugins
+    from tramstream import plugins
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.live import registry
+    from tramstream.machine import compilation
     from tramstream.supervision.process import run_node
 
     stop = stop_on_signals()
     if name in (registry.PROCESSORS, *plugins.names("processors")):
-        machine_code.ensure(say)
+        compilation.ensure(say)
     run_node(name, config, stop)

@@ -1,30 +1,41 @@
 """Compiles every kernel that a vehicle uses: `python -m tramstream.processors.warm_up`.
 
 A short simulated ride goes through the resampler and the localisation filter with a map, as
-messages would on the vehicle; what no such ride meets is called by hand.
+messages would on the vehicle; what no such ride meets is called by hand, and so is the matcher, by
+which a second process can begin (`python -m tramstream.processors.warm_up 1 2`: the second of two).
+The parts only divide the work: each process goes through all of them.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import sys
 import tempfile
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from tramstream import machine_code
 from tramstream.config import Ekf, Map, Vehicle
-from tramstream.estimation.localiser import OnTrack
+from tramstream.estimation.localiser import (
+    HEADING_UNKNOWN,
+    TRACKING,
+    Estimate,
+    OnTrack,
+    values_of,
+)
 from tramstream.graph import Graph
 from tramstream.lines.line import Line, built_in_line
+from tramstream.machine import kernels, machine_code
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.matcher import Matcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.processors.tram.filter import TramFilter, parameters
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
+from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import FORWARDS, Network
 
 RIDE_S = 50.0
@@ -33,8 +44,14 @@ MAPPED_M = 600.0
 """More than the ride goes."""
 
 
-def compile_all() -> None:
-    """Call all kernels once."""
+def compile_all(first: int = 0) -> None:
+    """Call all kernels once, beginning with part number `first`."""
+    parts = (_go_on_a_ride, _match, _measure)
+    for k in range(len(parts)):
+        parts[(first + k) % len(parts)]()
+
+
+def _go_on_a_ride() -> None:
     simulation = Simulation(built_in_line(), scenario.load("city"), 1, RIDE_S)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.tracks"
@@ -43,6 +60,24 @@ def compile_all() -> None:
         graph = Graph([Resampler(vehicle), DistanceFilter(vehicle), LocalisationFilter(vehicle)])
     for sent in simulation.samples():
         graph.step(sent)
+
+
+def _match() -> None:
+    """Look for the track and follow it, before the heading is known and after."""
+    line = built_in_line()
+    network = _one_track(line)
+    matcher = Matcher(network, Map(network=""))
+    frame = MapFrame(network, line.level)
+    for k in range(40):
+        place = line.position_l(np.array([2.0 * k]))[0]
+        motion = (*place, 10.0, 0.0, 0.0, float(line.yaw_rad(np.array([2.0 * k]))[0]))
+        values = values_of(motion, np.eye(7) * 0.01, 0.0, 0.0)
+        mode = HEADING_UNKNOWN if k < 2 else TRACKING
+        matcher.step(Estimate(1 + 200_000_000 * (k + 1), mode, values, standing=k < 2), frame)
+
+
+def _measure() -> None:
+    """Take the measurements that the ride has not."""
     ekf = TramFilter(parameters(Vehicle(vehicle="none", ekf=Ekf()), 9.81))
     ekf.rim(0, 0.0, 1.0)
     ekf.velocity((0.0, 0.0), 1.0)
@@ -83,6 +118,6 @@ def _one_track(line: Line) -> Network:
 
 if __name__ == "__main__":
     os.umask(0o077)  # what is run is nobody else's
-    machine_code.clear()
-    compile_all()
-    machine_code.mark_complete()
+    number = int(sys.argv[1]) if len(sys.argv) > 1 else 0
+    compile_all(number)
+    machine_code.mark_complete(kernels.used())

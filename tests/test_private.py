@@ -13,10 +13,11 @@ import pytest
 from live import finished
 from other_users import as_user, open_folder
 
-from tramstream import machine_code, private
+from tramstream import private
 from tramstream.clock import VehicleClock, boot_id
 from tramstream.errors import ConfigError
 from tramstream.live import snapshots
+from tramstream.machine import compilation, machine_code
 from tramstream.proto.sync_pb2 import Snapshot
 
 STRANGER, OTHER = 65534, 1001
@@ -139,11 +140,10 @@ def plant(folder: Path) -> None:
 
 @needs_root
 def test_machine_code_is_not_taken_from_a_strangers_folder(cache: Path) -> None:
-    name = machine_code._state_of_sources()
     cache.chmod(0o1777)
-    as_user(STRANGER, plant, cache / "tramstream" / name)
+    as_user(STRANGER, plant, cache / "tramstream" / "kernels")
     found = machine_code.folder()
-    assert found == cache.parent / "tmp" / "tramstream-0" / name
+    assert found == cache.parent / "tmp" / "tramstream-0" / "kernels"
     assert list(found.iterdir()) == []
     assert (
         "belongs to user 65534; machine code is not taken from there" in (machine_code.refused()[0])
@@ -154,18 +154,17 @@ def test_machine_code_is_not_taken_from_a_strangers_folder(cache: Path) -> None:
 def test_vehicle_starts_where_both_folders_are_strangers(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = machine_code._state_of_sources()
     cache.chmod(0o1777)
-    as_user(STRANGER, plant, cache / "tramstream" / name)
-    as_user(STRANGER, plant, cache.parent / "tmp" / "tramstream-0" / name)
+    as_user(STRANGER, plant, cache / "tramstream" / "kernels")
+    as_user(STRANGER, plant, cache.parent / "tmp" / "tramstream-0" / "kernels")
     found = machine_code.folder()
     assert list(found.iterdir()) == []
     assert private.doubt_of(found) == ""
     machine_code.folder.cache_clear()
     assert machine_code.folder() == found  # what this process starts uses the same
     said: list[str] = []
-    machine_code.mark_complete()
-    machine_code.ensure(said.append)
+    machine_code.mark_complete([])
+    compilation.ensure(said.append)
     assert len(said) == 2
     assert all("is not taken from there" in text and str(found) in text for text in said)
 
@@ -173,7 +172,7 @@ def test_vehicle_starts_where_both_folders_are_strangers(
 @needs_root
 def test_files_of_a_stranger_in_a_folder_of_ours_are_not_run(cache: Path) -> None:
     found = machine_code.folder()
-    machine_code.mark_complete()
+    machine_code.mark_complete([])
     theirs, ours, link = found / "theirs.nbi", found / "ours.nbi", found / "link.nbi"
     for path in (theirs, ours):
         path.write_bytes(b"code")
@@ -181,7 +180,10 @@ def test_files_of_a_stranger_in_a_folder_of_ours_are_not_run(cache: Path) -> Non
     link.symlink_to(theirs)
     machine_code.folder.cache_clear()
     assert machine_code.folder() == found
-    assert {each.name for each in found.iterdir()} == {"ours.nbi", "complete"}
+    assert {each.name for each in found.iterdir()} == {
+        "ours.nbi",
+        f"complete-{machine_code.state()}",
+    }
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775])
@@ -190,7 +192,7 @@ def test_folder_of_ours_that_others_could_write_in_is_emptied_and_closed(
 ) -> None:
     found = machine_code.folder()
     (found / "kernel.nbi").write_bytes(b"planted, perhaps")
-    machine_code.mark_complete()
+    machine_code.mark_complete([])
     found.parent.chmod(mode)
     machine_code.folder.cache_clear()
     assert machine_code.folder() == found
@@ -202,7 +204,7 @@ def test_compiled_kernels_are_nobody_elses(cache: Path) -> None:
     """As the compiler's process makes them, with a user whose group may write what is made."""
     program = (
         "import os; os.umask(0o002)\n"
-        "from tramstream import machine_code\n"
+        "from tramstream.machine import machine_code\n"
         "print(machine_code.folder())"
     )
     done = finished([sys.executable, "-c", program], check=True)

@@ -43,6 +43,10 @@ class DamagedRecordError(RecordError):
     exit_status = 3
 
 
+class MachineCodeError(TramstreamError):
+    """Kernels that could not be compiled."""
+
+
 class CheckFailedError(TramstreamError):
     """The check asked for does not hold."""
 

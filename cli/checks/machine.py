@@ -19,10 +19,11 @@ from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 
-from tramstream import keys, machine_code, private
+from tramstream import keys, private
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Map, Recorder
 from tramstream.errors import TramstreamError
+from tramstream.machine import machine_code
 from tramstream.tracks import network as networks
 from tramstream.transport import bus, router_socket
 

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from tramstream import keys, machine_code
+from tramstream import keys
 from tramstream.cli.figures.bench_disk import Written, own_disk
 from tramstream.cli.figures.bench_stages import REPEATS, Figure, median_s
 from tramstream.cli.terminal.demo_vehicle import configuration
 from tramstream.cli.terminal.session import say
 from tramstream.clock import S, VehicleClock
+from tramstream.machine import compilation
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess.run import Rerun, rerun
 from tramstream.transport.bus import Envelope, ZenohBus
@@ -92,7 +93,7 @@ def _ping(bus: ZenohBus, ring: Ring[Envelope]) -> list[float]:
 
 def live_pipeline(duration_s: float) -> list[Figure]:
     """The demo's vehicle for `duration_s` after warming up, then its record reprocessed."""
-    machine_code.ensure(say)  # not within the measurement
+    compilation.ensure(say)  # not within the measurement
     with tempfile.TemporaryDirectory(prefix="tramstream-", dir="/tmp") as name:
         folder = Path(name)
         config = folder / "bench.toml"

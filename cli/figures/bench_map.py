@@ -27,7 +27,8 @@ LOAD_GOAL_S, MATCH_GOAL_US, RATIO_GOAL, MEMORY_GOAL_MB = 0.3, 100.0, 2.0, 150.0
 _MEMORY = """
 import sys
 from pathlib import Path
-from tramstream import machine_code, network
+from tramstream import network
+from tramstream.machine import machine_code
 from tramstream.config import Map, Vehicle
 from tramstream.processors.matching.matcher import Matcher
 def mb():

@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tramstream import machine_code
 from tramstream.analysis.studies import matching as study
 from tramstream.analysis.studies import matching_figures as figures_of
 from tramstream.analysis.studies.matching import Case
@@ -38,6 +37,7 @@ from tramstream.cli.terminal import pool
 from tramstream.cli.terminal.pool import Job
 from tramstream.cli.terminal.session import say
 from tramstream.errors import ConfigError
+from tramstream.machine import compilation
 
 NAME = "matching"
 SEEDS = 10
@@ -62,7 +62,7 @@ def reproduce(options: Options) -> None:
     network = str(options.network.absolute())
     lines = study.lines(study.load(network), options.lines)
     cases = _cases(network, lines, options)
-    machine_code.ensure(say)  # once, and not in every process
+    compilation.ensure(say)  # once, and not in every process
     began_s = time.monotonic()
     rides: dict[Case, Figures] = {}
     for job, result in pool.results([Job(study.study, (case,)) for case in cases]):

@@ -10,10 +10,10 @@ import pytest
 from looking import tramstream
 from other_users import as_user, open_folder
 
-from tramstream import machine_code
 from tramstream.cli.checks import machine
 from tramstream.cli.checks.machine import State
 from tramstream.config import Recorder
+from tramstream.machine import machine_code
 
 STRANGER = 65534
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be other users")

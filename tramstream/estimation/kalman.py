@@ -6,7 +6,7 @@ result taken row by row (Bar-Shalom et al., section 7.4). All functions work in 
 that the caller owns, keep P symmetric bit by bit, and are held to filterpy's dense `predict` and
 `update` by a test.
 
-numba compiles each once a machine; where it keeps the machine code, `machine_code` tells.
+Each is compiled once a machine and kept (`tramstream/machine/kernels.py`).
 
 Equations: docs/theory.md, section 4.
 """
@@ -14,34 +14,14 @@ Equations: docs/theory.md, section 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream import machine_code
+from tramstream.machine.kernels import compiled as compiled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-_FOLDER = str(machine_code.folder())
-
-
-def compiled(function: F) -> F:
-    """Compile with numba when first called; keep the machine code on disk.
-
-    No fast-math: NaN must stay NaN, and two machines of a kind must agree to the bit.
-    """
-    jitted = numba.njit(error_model="numpy")(function)
-    settings: Any = numba.config  # a module, but its attributes come and go
-    others, settings.CACHE_DIR = settings.CACHE_DIR, _FOLDER
-    jitted.enable_caching()
-    settings.CACHE_DIR = others
-    return cast(F, jitted)
 
 
 @compiled

@@ -8,9 +8,9 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from tramstream import machine_code
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
+from tramstream.machine import compilation
 from tramstream.supervision.child import Child
 from tramstream.supervision.supervisor import Plan, Supervisor
 from tramstream.supervision.voice import Voice
@@ -104,7 +104,7 @@ def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
     voice: Voice | None = None
     try:
         if not supervisor.took_over:
-            machine_code.ensure(safe_say)
+            compilation.ensure(safe_say)
         bus = supervisor.join(lambda: ZenohBus.connect(runtime_dir, clock))
         voice = Voice(bus, plan.vehicle.vehicle, safe_say, supervisor)
         supervisor.start(bus, voice.speak)
