@@ -232,7 +232,7 @@ def test_compiled_kernels_are_for_their_user_alone(tmp_path: Path, cache: Path) 
 
 def test_kernel_is_digested_by_all_that_it_reaches_or_refused() -> None:
     """Each of ours can be; a list, whose content may change, is no constant."""
-    script = Path(__file__).parent / "every_kernel.py"
+    script = Path(networks.__file__).parent / "every_kernel.py"
     done = finished([sys.executable, str(script)], check=True)
     assert int(done.stdout) > 100
 
