@@ -186,9 +186,7 @@ class Record:
         bytes of a record raise. It is counted in `undecodable`, however often it is asked for.
         """
         topic = entry.topic
-        class_ = self._classes.get(topic)
-        if class_ is None:
-            class_ = self._classes[topic] = self._class(topic)
+        class_ = self._classes.get(topic) or self.class_of(topic)
         message: Any
         if isinstance(class_, str):
             message = Undecodable(topic, len(entry.payload), class_)
@@ -202,6 +200,13 @@ class Record:
     def type_of(self, topic: str) -> str:
         """Full name of the topic's message type."""
         return self.channels[topic].schema
+
+    def class_of(self, topic: str) -> type[Message] | str:
+        """The type of a topic's messages, or what they are instead."""
+        class_: type[Message] | str | None = self._classes.get(topic)
+        if class_ is None:
+            class_ = self._classes[topic] = self._class(topic)
+        return class_
 
     def _class(self, topic: str) -> type[Message] | str:
         """The type of a topic's messages, or why there is none."""

@@ -47,3 +47,18 @@ class CheckFailedError(TramstreamError):
     """The check asked for does not hold."""
 
     exit_status = 1
+
+
+class UnknownNameError(RecordError, KeyError):
+    """A key or column that a record does not have; near names are offered."""
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+
+class MissingPackageError(TramstreamError, ImportError):
+    """A package that only this needs, and that is not installed."""
+
+
+class LeftOutWarning(UserWarning):
+    """Something of a record, or of its reprocessing, is not in what was handed out."""

@@ -49,9 +49,7 @@ def gather(file: Path, truth: str, estimate: str, say: Callable[[str], None]) ->
         If an option names neither a file nor a key.
     """
     truth_key, truth_file = truth_meant(truth)
-    wanted = [keys.split(estimate)[1] or estimate or keys.EST_STATE.path]
-    if wanted[0] == keys.EST_STATE.path:
-        wanted.append(keys.EST_SMOOTHED.path)
+    wanted = wanted_keys(estimate)
     with ExitStack() as stack:
         record = stack.enter_context(open_record(file))
         demand(record, wanted[0], keys.EST_STATE, _estimate_cure(record))
@@ -59,31 +57,53 @@ def gather(file: Path, truth: str, estimate: str, say: Callable[[str], None]) ->
         if truth_file is not None:
             source = stack.enter_context(open_record(truth_file))
         elif not holds(record, truth_key):
-            source = stack.enter_context(_reprocessed_from(record, truth_key, say))
-        demand(
-            source,
-            truth_key,
-            keys.TRUTH_STATE,
-            "name the record that does with --truth FILE; simulated rides have it",
-        )
-        same = source is record
-        of_truth = read_ride(source, wanted if same else (), truth_key, fixes=True)
-        ride = of_truth
-        if not same:
-            need_fixes = of_truth.fixes is None
-            ride = read_ride(record, wanted, fixes=need_fixes, level=of_truth.level)
-        if of_truth.truth is None or wanted[0] not in ride.states:
-            raise RecordError(f"{file}: nothing of its estimate or truth can be read")
-        return Gathered(
-            states=ride.states,
-            truth=of_truth.truth,
-            truth_name=truth_key if same else f"{truth_key} of {source.paths[0]}",
-            fixes=of_truth.fixes if of_truth.fixes is not None else ride.fixes,
-            vehicle=vehicle_in(record, say) or vehicle_in(source, say),
-            origin_ns=record.start_ns,
-            damaged=record.damaged or source.damaged,
-            left_out=record.left_out or source.left_out,
-        )
+            source = stack.enter_context(reprocessed_from(record, truth_key, say))
+        return gathered(record, source, wanted, truth_key, say)
+
+
+def wanted_keys(estimate: str) -> list[str]:
+    """Key paths that `estimate` means: the one judged, and the smoother's beside the filter's."""
+    wanted = [keys.split(estimate)[1] or estimate or keys.EST_STATE.path]
+    if wanted[0] == keys.EST_STATE.path:
+        wanted.append(keys.EST_SMOOTHED.path)
+    return wanted
+
+
+def gathered(
+    record: Record, source: Record, wanted: list[str], truth_key: str, say: Callable[[str], None]
+) -> Gathered:
+    """Read estimates of `record` and the truth of `source`, which may be the same.
+
+    Raises
+    ------
+    RecordError
+        If there is no estimate or no truth.
+    """
+    demand(record, wanted[0], keys.EST_STATE, _estimate_cure(record))
+    demand(
+        source,
+        truth_key,
+        keys.TRUTH_STATE,
+        "name the record that does with --truth FILE; simulated rides have it",
+    )
+    same = source is record
+    of_truth = read_ride(source, wanted if same else (), truth_key, fixes=True)
+    ride = of_truth
+    if not same:
+        need_fixes = of_truth.fixes is None
+        ride = read_ride(record, wanted, fixes=need_fixes, level=of_truth.level)
+    if of_truth.truth is None or wanted[0] not in ride.states:
+        raise RecordError(f"{record.paths[0]}: nothing of its estimate or truth can be read")
+    return Gathered(
+        states=ride.states,
+        truth=of_truth.truth,
+        truth_name=truth_key if same else f"{truth_key} of {source.paths[0]}",
+        fixes=of_truth.fixes if of_truth.fixes is not None else ride.fixes,
+        vehicle=vehicle_in(record, say) or vehicle_in(source, say),
+        origin_ns=record.start_ns,
+        damaged=record.damaged or source.damaged,
+        left_out=record.left_out or source.left_out,
+    )
 
 
 def _estimate_cure(record: Record) -> str:
@@ -147,7 +167,7 @@ def source_of(record: Record) -> Path | None:
 
 
 @contextmanager
-def _reprocessed_from(
+def reprocessed_from(
     record: Record, truth_key: str, say: Callable[[str], None]
 ) -> Iterator[Record]:
     """The record beside this one whose reprocessing it is, or itself where there is none."""

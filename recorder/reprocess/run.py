@@ -68,7 +68,7 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
 def rerun(
     source: Path,
     out: Path,
-    config: Path | None,
+    config: Path | Vehicle | None,
     check: bool = False,
     fresh: bool = False,
     smooth: bool = False,
@@ -77,7 +77,7 @@ def rerun(
 
     Parameters
     ----------
-    config : Path or None
+    config : Path, Vehicle or None
         Configuration to use instead of the record's own.
     check : bool
         Compare with the outputs in the record.
@@ -91,7 +91,8 @@ def rerun(
     RecordError, ConfigError
     """
     with open_record(source) as record:
-        vehicle = configs.load(config) if config is not None else vehicle_of(record, source)
+        vehicle = configs.load(config) if isinstance(config, Path) else config
+        vehicle = vehicle or vehicle_of(record, source)
         consumers = {registry.PROCESSORS, *registry.names("processors")}
         plan = Plan() if fresh else read_plan(record, consumers)
         processors = _processors(vehicle, plan)
