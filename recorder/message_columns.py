@@ -295,6 +295,9 @@ class Span(NamedTuple):
     end_ns: int | None = None
 
 
+_WHOLE = Span()
+
+
 class _Arrivals:
     """What the file says of each message."""
 
@@ -313,7 +316,7 @@ class _Arrivals:
 def read_columns(
     record: Record,
     topics: Mapping[str, Sequence[str]],
-    span: Span = Span(),
+    span: Span = _WHOLE,
     clock: Clock | None = None,
 ) -> dict[str, Columns]:
     """Read topics of a record in one pass, of each the columns of these names or parts; all if

@@ -9,20 +9,23 @@
 
 Units
     SI and radians. A column's, figure's or setting's name ends in its unit: `speed_mps`, `yaw_rad`,
-    `stamp_ns`; `_deg` is latitude, longitude and what receivers say. Deviations are `speed_std_mps`.
+    `stamp_ns`; `_deg` is for latitude, longitude and what receivers say. Deviations are
+    `speed_std_mps`.
 Frames
-    `l` local level: east, north, up at the line's origin. `v` vehicle: forward, left, up; its origin
-    is the point that positions are of. `b` case of the inertial sensor. `e` fixed to the Earth.
-    Heights are above the ellipsoid unless the name says otherwise. `p_va_v` goes from the origin of
-    `v` to the antenna, resolved in `v`.
+    `l` local level: east, north, up at the line's origin. `v` vehicle: forward, left, up; its
+    origin is the point that positions are of. `b` case of the inertial sensor. `e` fixed to the
+    Earth. Heights are above the ellipsoid unless the name says otherwise. `p_va_v` goes from the
+    origin of `v` to the antenna, resolved in `v`.
 Signs
-    Yaw counts counter-clockwise from east, and a left turn has a positive rate. Roll is positive with
-    the right side down, pitch with the nose down: grade is -pitch. Speed is along x of the vehicle,
-    negative when it runs backwards. An error is estimate minus truth, an innovation z - h(x).
+    Yaw counts counter-clockwise from east, and a left turn has a positive rate. Roll is positive
+    with the right side down, pitch with the nose down: grade is -pitch. Speed is along x of the
+    vehicle, negative when it runs backwards. An error is estimate minus truth, an innovation
+    z - h(x).
 Clocks
     Stamps are on the vehicle clock: nanoseconds that look like Unix time, monotonic, never stepped.
-    `stamp_ns` says when a quantity was true, `publish_ns` when it was sent, `log_ns` when it reached
-    the record. `Columns.time_s` counts from the record's first arrival, `Columns.utc` is UTC.
+    `stamp_ns` says when a quantity was true, `publish_ns` when it was sent, `log_ns` when it
+    reached the record. `Columns.time_s` counts from the record's first arrival, `Columns.utc` is
+    UTC.
 Covariances
     `MotionState.covariance` is the upper triangle, row by row, of east, north, up, speed, roll,
     pitch, yaw.

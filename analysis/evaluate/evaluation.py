@@ -22,7 +22,7 @@ from tramstream.clock import S
 from tramstream.errors import RecordError
 from tramstream.estimation.series import Array
 
-_SHOWN = ("judged", "horizontal_rms_m", "speed_rms_mps", "yaw_rms_rad", "nees_joint_mean")
+_SHOWN = ("judged", "horizontal_rms_m", "speed_rms_mps", "yaw_rms_deg", "nees_joint_mean")
 """The figures that tell most; what there is to see of an evaluation at a prompt."""
 
 

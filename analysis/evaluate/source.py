@@ -58,6 +58,12 @@ def gather(file: Path, truth: str, estimate: str, say: Callable[[str], None]) ->
             source = stack.enter_context(open_record(truth_file))
         elif not holds(record, truth_key):
             source = stack.enter_context(reprocessed_from(record, truth_key, say))
+        demand(
+            source,
+            truth_key,
+            keys.TRUTH_STATE,
+            "name the record that does with --truth FILE; simulated rides have it",
+        )
         return gathered(record, source, wanted, truth_key, say)
 
 
@@ -77,15 +83,8 @@ def gathered(
     Raises
     ------
     RecordError
-        If there is no estimate or no truth.
+        If nothing of an estimate or of the truth can be read; see `demand`.
     """
-    demand(record, wanted[0], keys.EST_STATE, _estimate_cure(record))
-    demand(
-        source,
-        truth_key,
-        keys.TRUTH_STATE,
-        "name the record that does with --truth FILE; simulated rides have it",
-    )
     same = source is record
     of_truth = read_ride(source, wanted if same else (), truth_key, fixes=True)
     ride = of_truth
@@ -108,15 +107,20 @@ def gathered(
 
 def _estimate_cure(record: Record) -> str:
     """What to do without the estimate asked for."""
+    others = estimates_in(record)
+    if others:
+        return f"choose with --estimate: {', '.join(others)}"
+    return f"`tramstream reprocess {record.paths[0]} -o OUT` makes it"
+
+
+def estimates_in(record: Record) -> list[str]:
+    """Key paths that hold what can be judged."""
     name = keys.EST_STATE.type.DESCRIPTOR.full_name
-    others = [
+    return [
         keys.split(topic)[1]
         for topic, info in record.channels.items()
         if info.schema == name and info.count
     ]
-    if others:
-        return f"choose with --estimate: {', '.join(others)}"
-    return f"`tramstream reprocess {record.paths[0]} -o OUT` makes it"
 
 
 def truth_meant(text: str) -> tuple[str, Path | None]:

@@ -8,9 +8,19 @@ from dataclasses import replace
 
 from tramstream import keys
 from tramstream.analysis.evaluate.evaluation import Evaluation, evaluated
-from tramstream.analysis.evaluate.source import gathered, holds, reprocessed_from, wanted_keys
+from tramstream.analysis.evaluate.source import (
+    demand,
+    estimates_in,
+    gathered,
+    holds,
+    reprocessed_from,
+    wanted_keys,
+)
 from tramstream.analysis.notebook.record import PathLike, Record, open_record
 from tramstream.errors import LeftOutWarning
+from tramstream.recorder import reader
+
+_TRUTH_CURE = "give `truth=` a record that does; simulated rides have it"
 
 
 def evaluate(
@@ -58,9 +68,17 @@ def evaluate(
         else:
             beside = reprocessed_from(record, keys.TRUTH_STATE.path, lambda _: None)
             source = stack.enter_context(beside)
+        demand(record, key, keys.EST_STATE, _estimate_cure(record))
+        demand(source, keys.TRUTH_STATE.path, keys.TRUTH_STATE, _TRUTH_CURE)
         found = gathered(record, source, wanted_keys(key), keys.TRUTH_STATE.path, warn)
     for sentence in (found.damaged, found.left_out):
         if sentence:
             warn(sentence)
     found = replace(found, origin_ns=judged.origin_ns)
     return evaluated(found, skip_s, outage_s, str(record.paths[0]))
+
+
+def _estimate_cure(record: reader.Record) -> str:
+    """What to do without the estimate asked for."""
+    others = ", ".join(repr(each) for each in estimates_in(record))
+    return f"choose with `key=`: {others}" if others else "`ts.localise(record)` makes it"

@@ -63,7 +63,7 @@ def localise(
 
 
 def configured(record: Record, settings: Settings) -> Vehicle:
-    """The configuration that `settings` mean for `record`; relative paths are those of this process.
+    """The configuration that `settings` mean for `record`; paths are relative to this process.
 
     Raises
     ------

@@ -22,8 +22,9 @@ PathLike = str | os.PathLike[str]
 
 
 class Record(Mapping[str, Columns]):
-    """Keys of a record and their messages as columns; made by `open_record`, `simulate`, `localise`.
+    """Keys of a record and their messages as columns.
 
+    Made by `open_record`, `simulate` and `localise`.
     A key is `layer/source/quantity` (`est/ekf/state`), or a stranger's topic as it is. Each
     `record[key]` reads the file: take what it gives once, then work with that.
     """

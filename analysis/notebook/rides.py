@@ -44,7 +44,7 @@ def simulate(
     duration_s : float, optional
         End the ride early, s.
     out : str or path, optional
-        Where the record is kept; else in a temporary folder that goes with it (about 90 MB an hour).
+        Where the record is kept; else in a temporary folder that goes with it.
 
     Raises
     ------
