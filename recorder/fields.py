@@ -74,7 +74,7 @@ class Column:
         """Take a batch: values, which of them are absent, elements of each list by level."""
         count, dtype = len(values), self._values[0].dtype
         if dtype.kind == "O":
-            kept = _boxed([self._once(value) for value in values])
+            kept = boxed([self._once(value) for value in values])
             if absent is not None:
                 kept[absent] = None
         else:
@@ -136,10 +136,10 @@ def _rows(values: Values, lengths: list[Values]) -> Values:
     for each in reversed(lengths):
         ends = np.cumsum(each).tolist()
         parts = [parts[end - n : end] for n, end in zip(each.tolist(), ends, strict=True)]
-    return _boxed(parts)
+    return boxed(parts)
 
 
-def _boxed(parts: Sequence[Any]) -> Values:
+def boxed(parts: Sequence[Any]) -> Values:
     """Each part as one object, whatever numpy would make of parts of equal length."""
     boxed = np.empty(len(parts), object)
     for index, part in enumerate(parts):

@@ -21,7 +21,7 @@ from tramstream import keys
 from tramstream.boundary import Undecodable
 from tramstream.clock import S
 from tramstream.errors import MissingPackageError, RecordError, UnknownNameError
-from tramstream.recorder.fields import Column, Fields, Values
+from tramstream.recorder.fields import Column, Fields, Values, boxed
 from tramstream.recorder.reader import Entry, Record
 
 ARRIVAL = ("log_ns", "publish_ns", "sequence")
@@ -242,10 +242,10 @@ def _named(values: Values, enum: Any) -> Values:
     known = {number: value.name for number, value in enum.values_by_number.items()}
 
     def name(value: Any) -> Any:
-        if isinstance(value, list | np.ndarray):
-            return _named(np.asanyarray(value), enum)
         if value is np.ma.masked:
             return None
+        if isinstance(value, list | np.ndarray):
+            return _named(boxed(value) if isinstance(value, list) else value, enum)
         return known.get(int(value), f"UNKNOWN_{value}")
 
     named = np.empty(values.shape[:1], object)
@@ -274,17 +274,22 @@ def _nullable(pandas: Any, values: Values) -> Any:
 
 
 def _series(polars: Any, name: str, values: Values) -> Any:
-    """A column as polars knows it; what it has no type for (maps, messages) stays an object."""
+    """A column as polars knows it; what it has no type for (maps, messages) as text."""
     if isinstance(values, np.ma.MaskedArray):
         return polars.Series(name, values.tolist())
     if values.dtype != object:
         return polars.Series(name, values)
     first = next((each for each in values if each is not None), "")
     if isinstance(first, np.ndarray):
-        lists = [each.tolist() for each in values]
+        return polars.Series(name, [each.tolist() for each in values], strict=False)
+    if isinstance(first, list):
+        lists = [[each.tolist() for each in row] for row in values]
         return polars.Series(name, lists, strict=False)
     kinds = {str: polars.String, bytes: polars.Binary}
-    return polars.Series(name, values.tolist(), dtype=kinds.get(type(first), polars.Object))
+    if type(first) in kinds:
+        return polars.Series(name, values.tolist(), dtype=kinds[type(first)])
+    texts = [None if each is None else str(each).strip() for each in values]
+    return polars.Series(name, texts, dtype=polars.String)
 
 
 # Reading ------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from live import HANG_S
 
+import tramstream
 from tramstream import keys
 from tramstream.proto import generate
 
@@ -127,6 +128,10 @@ def test_face_of_the_library_imports_nothing_of_ours_before_it_is_asked() -> Non
         if isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in hidden
     ]
     assert runs == ["from importlib import import_module", "from typing import TYPE_CHECKING, Any"]
+
+
+def test_nobody_of_ours_goes_through_the_face() -> None:
+    assert importers(*(f"tramstream.{name}" for name in tramstream.__all__)) == set()
 
 
 def test_nobody_imports_the_parts_by_their_folders() -> None:
