@@ -85,10 +85,13 @@ class Evaluation(Mapping[str, Any]):
         lines = [f"{self.key} against {self.truth}"]
         for name in _SHOWN:
             beside = self.figures.get(f"gnss_{name}")
-            gnss = f"  (GNSS alone {beside:.4g})" if beside is not None else ""
-            value = self.figures[name]
-            lines.append(f"  {name:16}  {value if value is None else f'{value:.4g}'}{gnss}")
+            gnss = f"  (GNSS alone {_shown(beside)})" if beside is not None else ""
+            lines.append(f"  {name:16}  {_shown(self.figures[name])}{gnss}")
         return "\n".join(lines)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def evaluated(found: Gathered, skip_s: float, outage_s: float, name: str) -> Evaluation:

@@ -74,7 +74,9 @@ def evaluate(
     for sentence in (found.damaged, found.left_out):
         if sentence:
             warn(sentence)
-    found = replace(found, origin_ns=judged.origin_ns)
+    name = keys.TRUTH_STATE.path
+    name += "" if source is record else f" of {source.paths[0].name}"
+    found = replace(found, origin_ns=judged.origin_ns, truth_name=name)
     return evaluated(found, skip_s, outage_s, str(record.paths[0]))
 
 
