@@ -153,11 +153,12 @@ class Fields:
     Parameters
     ----------
     descriptor : Descriptor
+        Of `google.protobuf`, whichever of its implementations made it.
     wanted : callable
         Of a column's name; others are not looked at.
     """
 
-    def __init__(self, descriptor: Descriptor, wanted: Wanted = lambda _: True) -> None:
+    def __init__(self, descriptor: Any, wanted: Wanted = lambda _: True) -> None:
         self.columns: dict[str, Column] = {}
         self._wanted = wanted
         self._add = self._part(descriptor, "", 0, ())
@@ -240,9 +241,10 @@ def _single(field: FieldDescriptor, into: _Add) -> _Add:
         return lambda messages, absent, lengths: into(list(map(get, messages)), absent, lengths)
 
     def add(messages: Sequence[Any], absent: Mask | None, lengths: Sequence[Values]) -> None:
-        has = type(messages[0]).HasField if messages else None
-        present = np.fromiter(map(has, messages, repeat(name)), bool, len(messages))  # type: ignore[arg-type]
-        missing = ~present if absent is None else absent | ~present
+        has: Any = type(messages[0]).HasField if messages else None
+        missing = ~np.fromiter(map(has, messages, repeat(name)), np.bool_, len(messages))
+        if absent is not None:
+            missing |= absent
         into(list(map(get, messages)), missing, lengths)
 
     return add

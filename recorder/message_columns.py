@@ -175,13 +175,13 @@ class Columns:
             }
             raise unknown(f"{self.key} has no repeated part", part, lists)
         counts = next(iter(below.values())).lengths()
-        times = {
+        rows: dict[str, Column | Values] = {
             name: np.repeat(self[name], counts)
             for name in (*_STAMPS, *ARRIVAL)
             if name in self._columns
         }
-        made = {name: _Flat(column) for name, column in below.items()}
-        return Columns(f"{self.key} {part}", self.type, times | made, self._clock)
+        rows |= {name: _Flat(column) for name, column in below.items()}
+        return Columns(f"{self.key} {part}", self.type, rows, self._clock)
 
     # Frames ---------------------------------------------------------------------------------------
     def to_pandas(self) -> Any:
@@ -285,7 +285,7 @@ def _series(polars: Any, name: str, values: Values) -> Any:
     if isinstance(first, list):
         lists = [[each.tolist() for each in row] for row in values]
         return polars.Series(name, lists, strict=False)
-    kinds = {str: polars.String, bytes: polars.Binary}
+    kinds: dict[type, Any] = {str: polars.String, bytes: polars.Binary}
     if type(first) in kinds:
         return polars.Series(name, values.tolist(), dtype=kinds[type(first)])
     texts = [None if each is None else str(each).strip() for each in values]

@@ -60,6 +60,9 @@ def test_page_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
     found = run(BLOCK.findall(PAGE.read_text()), {})
+    in_readme = [each for each in BLOCK.findall(README.read_text()) if each[0] == "python"]
+    assert len(in_readme) == 1
+    run(in_readme, {})
     assert len(found) > 8
     if rewritten := os.environ.get("TRAMSTREAM_PAGE"):
         Path(rewritten).write_text("\0".join(printed for printed, _ in found))

@@ -197,8 +197,10 @@ def open_record(place: PathLike | Sequence[PathLike]) -> Record:
     RecordError
         If there is no record, or none that this version reads.
     """
-    several = not isinstance(place, str | os.PathLike)
-    paths = [Path(each).expanduser() for each in (place if several else [place])]  # type: ignore[union-attr]
+    if isinstance(place, str | os.PathLike):
+        one = Path(place).expanduser()
+        return Record(reader.open_record(one), one)
+    paths = [Path(each).expanduser() for each in place]
     if not paths:
         raise RecordError("open_record: no file is named")
-    return Record(reader.open_record(paths), None if several else paths[0])
+    return Record(reader.open_record(paths), None)
