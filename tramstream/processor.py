@@ -140,6 +140,9 @@ class Ordering(Protocol):
 class Smoothing(Protocol):
     """A processor that can go over a ride again with all of it known; for reprocessing."""
 
+    offline: ClassVar[tuple[Key, ...]]
+    """What `smoothed` says; no output of a live ride."""
+
     def keep(self) -> None:
         """Remember from now on what that takes; before the first sample, and never live."""
 

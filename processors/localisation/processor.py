@@ -46,6 +46,7 @@ class LocalisationFilter(Processor):
     """States of the vehicle from `sync/fusion/frame`."""
 
     name = "ekf"
+    offline = (keys.EST_SMOOTHED,)
     Settings = Ekf
     inputs = (keys.SYNC_FRAME,)
     outputs = (

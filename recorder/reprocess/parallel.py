@@ -158,7 +158,10 @@ def run(
         if takers.expect is not None:
             run.compare(sender.expect, _paths(behind))
         smoothers = behind if takers.smoothed is not None else []
-        unpack = _Unpack(Graph(processors).outputs)
+        known = dict(Graph(processors).outputs)
+        for each in processors:
+            known |= {key.path: key for key in each.offline} if isinstance(each, Smoothing) else {}
+        unpack = _Unpack(known)
         follow = partial(_follow, followers, smoothers, unpack)
         return _run_apart(run, sender, follow, _Writing(takers, unpack))
 
