@@ -16,6 +16,7 @@ PATIENCE_S = ASK_S * ASKED
 READY_S = 30.0
 """So long one that has just been started may need for the record of its predecessor."""
 PAUSE_S = 0.05
+TRIES, AGAIN_S = 20, 0.5
 NOTHING = b""
 """To a question that no publisher asks the recorder answers at once."""
 
@@ -43,4 +44,18 @@ def hears(
         asked += silent
         if not wait(0.0 if silent else PAUSE_S):
             return False
+    return False
+
+
+def carries(bus: Bus, vehicle: str, wait: Callable[[float], bool]) -> bool:
+    """Whether anybody of `vehicle` is on the bus.
+
+    It is asked again for some seconds: the router closes a link that a frozen node has jammed, and
+    it is opened anew.
+    """
+    for _ in range(TRIES):
+        if bus.alive(keys.alive(vehicle, keys.ANY_SOURCE)):
+            return True
+        if not wait(AGAIN_S):
+            break
     return False

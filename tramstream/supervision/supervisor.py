@@ -23,7 +23,7 @@ from tramstream.errors import BusError, NodeError
 from tramstream.live import registry, router
 from tramstream.supervision import roster
 from tramstream.supervision.child import Child
-from tramstream.supervision.hearing import PATIENCE_S, READY_S, hears
+from tramstream.supervision.hearing import PATIENCE_S, READY_S, carries, hears
 from tramstream.supervision.heartbeats import FROZEN_S, Heartbeats, Silence
 from tramstream.supervision.process import Forks, Running
 from tramstream.supervision.roster import Proc
@@ -298,8 +298,9 @@ class Supervisor:
                 if hears(bus, vehicle, wait, patience_s, self._now_s):
                     return
                 if recorder.running is not None and recorder.lives:
-                    if not bus.alive(keys.alive(vehicle, keys.ANY_SOURCE)):
-                        break  # it is the bus that does not carry
+                    if not carries(bus, vehicle, wait):
+                        self._say("the bus does not carry; whether the recorder hears is not known")
+                        break
                     self._say(f"node {recorder.name} does not answer; killing it")
                     recorder.running.send(signal.SIGKILL)
                     recorder.running.ended(STOP_TIMEOUT_S)
