@@ -222,3 +222,17 @@ def test_sections_of_other_packages_are_there_and_switch_nothing_on(strangers, t
         for name, reason in zip(("gong", "chime"), when, strict=True)
         for line in (f"# Of another package; it runs if {reason}.", *body)
     ]
+    named = SETTING.sub("", text.replace("#processors = [", '#processors = ["chime", '))
+    with pytest.raises(ConfigError, match=r"\$\.chime\.pin: is still to be filled in"):
+        config_file.parse(named.replace('pin = "FILL IN"', "pin = 1", 1).encode(), "t", tmp_path)
+    filled = named.replace('pin = "FILL IN"', "pin = 7").encode()
+    vehicle = config_file.parse(filled, "t", tmp_path)
+    assert vehicle.sections == {name: {"pin": 7, "pause_s": 0.5} for name in ("chime", "gong")}
+
+
+def test_sections_are_the_settings_that_the_classes_name():
+    types = typing.get_type_hints(config.Vehicle)
+    for group in ("bridges", "processors"):
+        for name in plugins.names(group):
+            if name in config.Vehicle.__struct_fields__:
+                assert struct_of(types[name]) is plugins.load(group, name).Settings
