@@ -314,7 +314,7 @@ def test_kernel_that_was_being_compiled_when_its_process_was_killed_is_compiled_
 ) -> None:
     folder = small(tmp_path)
     program = (
-        "import os, time\nfrom tramstream import kernels, private\n"
+        "import time\nfrom tramstream import private\n"
         "def write(path, data): print(path.name, flush=True); time.sleep(600)\n"
         f"private.write = write\n{USE}"
     )
@@ -327,9 +327,7 @@ def test_kernel_that_was_being_compiled_when_its_process_was_killed_is_compiled_
     assert b"fall" in process.stdout.readline()  # compiled, claimed, not kept
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    start = time.monotonic()
     assert use(folder) == "24.0 3.0"
-    assert time.monotonic() - start < 100.0  # shorter than anybody's patience with a living one
     assert made(cache, set()) == {"fall", "go", "other"}
 
 
