@@ -31,11 +31,18 @@ def load(group: str, name: str) -> Any:
     Raises
     ------
     ConfigError
-        If there is none; the sentence lists those that there are.
+        If there is none, with those that there are; or if its package cannot be imported.
     """
     for point in points(group):
         if point.name == name:
-            return point.load()
+            try:
+                return point.load()
+            except Exception as error:
+                package = point.dist.name if point.dist is not None else point.module
+                raise ConfigError(
+                    f"{group.rstrip('s')} {name}: package {package} cannot be loaded "
+                    f"({type(error).__name__}: {error}); mend or uninstall it, or do not name it"
+                ) from error
     raise ConfigError(unknown(group.rstrip("s"), name, names(group)))
 
 

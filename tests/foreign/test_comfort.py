@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,18 @@ def test_its_section_is_checked_as_ours_are(site: Path, tmp_path: Path) -> None:
         text = with_section(tmp_path, f"[comfort]\n{section}\n", "comfort")
         with pytest.raises(ConfigError, match=said):
             config_file.parse(text, "x.toml", tmp_path)
+
+
+def test_package_that_cannot_be_imported_is_named_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = install(COMFORT, tmp_path / "site")
+    (site / "comfort.py").write_text("import no_such_module\n")
+    put_on_path(site, monkeypatch)
+    monkeypatch.delitem(sys.modules, "comfort", raising=False)
+    said = "package tramstream-comfort cannot be loaded .ModuleNotFoundError: .*no_such_module"
+    with pytest.raises(ConfigError, match=said):
+        config_file.parse(with_section(tmp_path, "", "comfort"), "x.toml", tmp_path)
 
 
 def test_processor_that_is_not_installed_is_refused_with_those_that_are(tmp_path: Path) -> None:
