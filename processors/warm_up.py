@@ -8,7 +8,6 @@ The parts only divide the work: each process goes through all of them.
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import tempfile
@@ -22,7 +21,6 @@ from tramstream.estimation.localiser import (
     HEADING_UNKNOWN,
     TRACKING,
     Estimate,
-    OnTrack,
     values_of,
 )
 from tramstream.graph import Graph
@@ -32,7 +30,11 @@ from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
 from tramstream.processors.resampling.resampler import Resampler
-from tramstream.processors.tram.filter import TramFilter, parameters
+from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
+from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
+from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
+from tramstream.processors.tram_model.wheel_speed import WheelSpeed
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 from tramstream.tracks.map_frame import MapFrame
@@ -78,10 +80,16 @@ def _match() -> None:
 
 def _measure() -> None:
     """Take the measurements that the ride has not."""
-    ekf = TramFilter(parameters(Vehicle(vehicle="none", ekf=Ekf()), 9.81))
-    ekf.rim(0, 0.0, 1.0)
-    ekf.velocity((0.0, 0.0), 1.0)
-    ekf.track(OnTrack(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, math.nan, math.nan))
+    ekf = TramFilter(Vehicle(vehicle="none", ekf=Ekf()), 9.81)
+    for measurement in (
+        WheelSpeed(0, 0.0, 1.0),
+        GnssVelocity(0.0, 0.0, 1.0),
+        TrackDistance(0.0, 1.0, 0.0, 1.0),
+        TrackHeading(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        TrackGrade(0.0, 1.0),
+        VerticalConstraint(),
+    ):
+        ekf.apply(measurement)
 
 
 def _one_track(line: Line) -> Network:

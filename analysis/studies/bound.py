@@ -47,10 +47,12 @@ from tramstream.analysis.studies.bound_kernels import (
 )
 from tramstream.errors import ConfigError
 from tramstream.estimation.kalman import Array
+from tramstream.estimation.records import Records, numbers
 from tramstream.geodesy import normal_gravity_mps2
 from tramstream.processors.tram.alignment import ENOUGH_RAD
 from tramstream.processors.tram.navigation import Navigation
-from tramstream.processors.tram.states import MOTION, SIZE, Ix, Pm
+from tramstream.processors.tram_model.records import READING
+from tramstream.processors.tram_model.states import MOTION, SIZE, Ix
 from tramstream.simulation.imu import inertial, instability_density
 from tramstream.simulation.receiver import antenna_motion
 from tramstream.simulation.ride import Motion
@@ -157,9 +159,10 @@ def series(simulation: Simulation) -> Series:
         raise ConfigError("a bound needs a scenario with GNSS and an IMU")
     level = simulation.line.level
     navigation = Navigation(simulation.vehicle, level)
-    c, m = navigation.ekf.parameters, navigation.ekf.memory
-    _set_noise(c, gnss, imu)
-    P = navigation.ekf.P
+    ekf = navigation.ekf
+    parameters, situation = ekf.parameters.copy(), ekf.situation
+    _set_noise(parameters, situation, gnss, imu)
+    P = ekf.P
     P[Ix.YAW, Ix.YAW] = _HEADING_STD_RAD**2
     P[Ix.ACCEL_Z, Ix.ACCEL_Z] = P[Ix.ACCEL_Y, Ix.ACCEL_Y]
     P[Ix.GNSS_EAST, Ix.GNSS_EAST] = P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] = (
@@ -176,7 +179,9 @@ def series(simulation: Simulation) -> Series:
         raise ConfigError("a bound needs a fix, and this ride is over before there is one")
     first = int(np.argmax(steps.fix >= 0))
     rows = np.empty((len(range(first, len(steps.fix), EVERY)), 3 + SIZE))
-    recursion(m, c, steps, _variances(simulation.scenario), first, rows)
+    variances = _variances(simulation.scenario, gnss, imu)
+    given = numbers(parameters), numbers(situation)
+    recursion(ekf.memory, *given, steps, variances, first, rows)
     shown = slice(2 * first, None, 2 * EVERY)
     return Series(
         time_s=halves[shown],
@@ -186,30 +191,35 @@ def series(simulation: Simulation) -> Series:
     )
 
 
-def _set_noise(c: Array, gnss: Gnss, imu: Imu) -> None:
-    """Put the scenario's noise in place of the configuration's."""
+def _set_noise(c: Records, s: Records, gnss: Gnss, imu: Imu) -> None:
+    """Put the scenario's noise into `Parameters` and `Situation`, for the configuration's."""
+    errors = imu.errors
+    gyro, accel = _white(imu)
+    for name in ("creep_density", "scale_walk", "side_density", "heave_density"):
+        c[name] = 0.0
+    c["lateral_variance"] = accel / STEP_S
+    c["vertical_density"] = accel
+    c["heave_variance"] = _NO_SPEED_STD_MPS**2
+    c["gyro_walk"] = errors.gyro_walk_radps2_rthz**2 + instability_density(
+        errors.gyro_instability_radps, errors.gyro_instability_time_s
+    )
+    c["accel_walk"] = errors.accel_walk_mps3_rthz**2 + instability_density(
+        errors.accel_instability_mps2, errors.accel_instability_time_s
+    )
+    s["accel_density"], s["rate_density"] = accel, gyro
+    decay = -math.log(gnss.errors.decay) if gnss.errors.decay > 0.0 else _FORGETS / STEP_S
+    renewed = (1.0 - math.exp(-2.0 * decay * STEP_S)) / STEP_S
+    s["fix_decay"] = decay
+    s["fix_density"] = gnss.errors.horizontal_std_m**2 * renewed
+    s["fix_up_density"] = gnss.errors.vertical_std_m**2 * renewed
+
+
+def _white(imu: Imu) -> tuple[float, float]:
+    """Densities of the white noise of gyroscopes and accelerometers, (rad/s)²/Hz, (m/s²)²/Hz."""
     errors, scales = imu.errors, imu.scales
     gyro = errors.gyro_noise_radps_rthz**2 + scales.gyro_radps**2 / 12 / imu.rate_hz
     accel = errors.accel_noise_mps2_rthz**2 + scales.accel_mps2**2 / 12 / imu.rate_hz
-    c[Pm.SLIP_DENSITY] = c[Pm.SCALE_WALK] = c[Pm.SIDE_DENSITY] = c[Pm.HEAVE_DENSITY] = 0.0
-    c[Pm.ACCEL_DENSITY] = accel
-    c[Pm.ROLL_DENSITY] = c[Pm.PITCH_DENSITY] = c[Pm.YAW_DENSITY] = gyro
-    c[Pm.LATERAL_VARIANCE] = c[Pm.STILL_FORCE_VARIANCE] = accel / STEP_S
-    for slot in (Pm.STILL_ROLL_VARIANCE, Pm.STILL_PITCH_VARIANCE, Pm.STILL_YAW_VARIANCE):
-        c[slot] = gyro / STEP_S
-    c[Pm.VERTICAL_DENSITY] = accel
-    c[Pm.STANDING_VARIANCE] = c[Pm.HEAVE_VARIANCE] = _NO_SPEED_STD_MPS**2
-    c[Pm.GYRO_WALK] = errors.gyro_walk_radps2_rthz**2 + instability_density(
-        errors.gyro_instability_radps, errors.gyro_instability_time_s
-    )
-    c[Pm.ACCEL_WALK] = errors.accel_walk_mps3_rthz**2 + instability_density(
-        errors.accel_instability_mps2, errors.accel_instability_time_s
-    )
-    decay = gnss.errors.decay
-    c[Pm.GNSS_DECAY] = -math.log(decay) if decay > 0.0 else _FORGETS / STEP_S
-    renewed = (1.0 - math.exp(-2.0 * c[Pm.GNSS_DECAY] * STEP_S)) / STEP_S
-    c[Pm.GNSS_DENSITY] = gnss.errors.horizontal_std_m**2 * renewed
-    c[Pm.GNSS_UP_DENSITY] = gnss.errors.vertical_std_m**2 * renewed
+    return gyro, accel
 
 
 def _set_wheels(navigation: Navigation, section: Wheels) -> None:
@@ -217,8 +227,8 @@ def _set_wheels(navigation: Navigation, section: Wheels) -> None:
     axle, ekf = section.axle, navigation.ekf
     for slot, side in enumerate(_sides(section)):
         radius_m = axle.radius_m + axle.radius_error_m[SIDES.index(side)]
-        ekf.parameters[Pm.OFFSET_A + slot] = (0.5 - SIDES.index(side)) * axle.track_m
-        ekf.memory[Ix.SCALE_A + slot] = axle.radius_m / radius_m - 1.0
+        ekf.set_wheel(slot, (0.5 - SIDES.index(side)) * axle.track_m)
+        ekf.set_states(Ix(Ix.SCALE_A + slot), (axle.radius_m / radius_m - 1.0,))
         ekf.P[Ix.PATH_A + slot, Ix.PATH_A + slot] = axle.m_per_pulse**2 / 12
 
 
@@ -226,10 +236,9 @@ def _sides(section: Wheels) -> list[Side]:
     return sorted(section.wheels, key=SIDES.index)
 
 
-def _variances(scenario: Scenario) -> Variances:
-    gnss, wheels = scenario.gnss, scenario.wheels
-    assert gnss is not None
-    errors = gnss.errors
+def _variances(scenario: Scenario, gnss: Gnss, imu: Imu) -> Variances:
+    wheels, errors = scenario.wheels, gnss.errors
+    gyro, accel = _white(imu)
     return Variances(
         pulse=wheels.axle.m_per_pulse**2 / 12 if wheels else 0.0,
         wheel_stamp=wheels.timing.stamp_jitter_s**2 if wheels else 0.0,
@@ -237,6 +246,9 @@ def _variances(scenario: Scenario) -> Variances:
         fix_up=errors.white_vertical_std_m**2,
         fix_stamp=gnss.timing.stamp_jitter_s**2,
         velocity=errors.velocity_std_mps**2 if gnss.velocity else -1.0,
+        standing=_NO_SPEED_STD_MPS**2,
+        still_rate=gyro / STEP_S,
+        still_force=accel / STEP_S,
     )
 
 
@@ -247,9 +259,9 @@ def _steps(simulation: Simulation, halves: Array, motion: Motion) -> Steps:
     assert imu is not None
     level = simulation.line.level
     gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
-    inputs = np.zeros((len(halves), 10))
-    force, rate = inertial(motion, gravity, imu.lever_arm_m)
-    inputs[:, :3], inputs[:, 3:6], inputs[:, 9] = rate, force, 1.0
+    inputs = np.zeros(len(halves), READING)
+    inputs["specific_force"], inputs["angular_rate"] = inertial(motion, gravity, imu.lever_arm_m)
+    inputs["accelerometer"] = 1.0
     states = np.zeros((len(halves), MOTION.stop))
     states[:, Ix.SPEED], states[:, Ix.ROLL] = motion.speed_mps, motion.roll_rad
     states[:, Ix.PITCH], states[:, Ix.YAW] = motion.pitch_rad, motion.yaw_rad

@@ -12,11 +12,33 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream.estimation.kalman import Array, compiled, predict_covariance
-from tramstream.processors.tram import axes as frames
-from tramstream.processors.tram import measurements
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram.states import COLUMNS, MOTION, ROWS, SIZE, Ix, Pm
+from tramstream.estimation.kalman import Array, compiled
+from tramstream.estimation.records import Records
+from tramstream.processors.tram_model import (
+    axes,
+    gnss_position,
+    gnss_velocity,
+    wheel_path,
+    zero_velocity,
+)
+from tramstream.processors.tram_model.lateral_force import take_reading as take_lateral_force
+from tramstream.processors.tram_model.level_force import take_reading as take_level_force
+from tramstream.processors.tram_model.motion import predict_along, rest_state
+from tramstream.processors.tram_model.records import (
+    LEFT,
+    MEMORY,
+    PARAMETERS,
+    RIGHT,
+    SITUATION,
+    Memory,
+    Parameters,
+    Reading,
+    Situation,
+    Z,
+)
+from tramstream.processors.tram_model.states import MOTION, SIZE, Ix
+from tramstream.processors.tram_model.vertical_constraint import take_constraint
+from tramstream.processors.tram_model.zero_angular_rate import take_reading as take_zero_rate
 
 STEP_S = 0.01
 """One step of the fusion horizon; measurements fall on the nearest."""
@@ -30,9 +52,9 @@ class Steps(NamedTuple):
     """The truth and what is measured; instants are the even rows of what has halves."""
 
     states: Array
-    """(2n − 1, 7): the motion of `tram_states.MOTION`, without the place."""
-    inputs: Array
-    """(2n − 1, 10): see `tram_kernels.move`."""
+    """(2n − 1, 7): the motion of `states.MOTION`, without the place."""
+    inputs: Records
+    """(2n − 1,): see `records.Reading`."""
     change: Array
     """(n, 2): v̇, ψ̇."""
     standing: NDArray[np.bool_]
@@ -58,119 +80,149 @@ class Variances(NamedTuple):
     fix_stamp: float
     velocity: float
     """(m/s)²; negative if there is none."""
+    standing: float
+    """Of the speed of a vehicle that stands, (m/s)²."""
+    still_rate: float
+    """Of a rate reading of a vehicle that stands, (rad/s)²."""
+    still_force: float
+    """Of a specific force of a vehicle that stands, (m/s²)²."""
 
 
 @compiled
 def recursion(
-    m: Array, c: Array, steps: Steps, variances: Variances, first: int, rows: Array
+    memory: Array,
+    parameters: Array,
+    situation: Array,
+    steps: Steps,
+    variances: Variances,
+    first: int,
+    rows: Array,
 ) -> None:
     """Covariance from the first fix on; `rows` get ee, en, nn of the place, and all variances."""
-    x, P = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE))
+    f, c, s = memory.view(MEMORY)[0], parameters.view(PARAMETERS)[0], situation.view(SITUATION)[0]
+    x = f.x
     truth = x.copy()
     work = np.zeros((1 + MOTION.stop, MOTION.stop))
     for k in range(first, len(steps.fix)):
         if k > first:
             if steps.standing[k]:
-                _rest(m, c)
+                _rest(f, c, s)
             else:
                 truth[: MOTION.stop] = steps.states[2 * k - 1]
                 x[:] = truth
-                values = m[kernels.ENTRY_VALUES]
-                kernels.transition(x, c, steps.inputs[2 * k - 1], STEP_S, values)
-                scratch = m[kernels.SCRATCH].reshape((SIZE, SIZE))
-                predict_covariance(P, ROWS, COLUMNS, values, kernels.ENTRY_COUNT, scratch)
-                kernels.add_noise(x, P, c, STEP_S)
+                predict_along(f, c, s, steps.inputs[2 * k - 1], STEP_S)
         truth[: MOTION.stop] = steps.states[2 * k]
         u = steps.inputs[2 * k]
-        m[kernels.ACCELERATION], m[kernels.YAW_RATE] = steps.change[k]
+        f.acceleration, f.yaw_rate = steps.change[k, 0], steps.change[k, 1]
         x[:] = truth
         if steps.standing[k]:
-            measurements.standing(m, c, u)
+            zero_velocity.take(memory, variances.standing, math.inf)
+            rate = variances.still_rate
+            take_zero_rate(f, u, rate, rate, rate)
+            take_level_force(f, c, u, variances.still_force, math.inf)
             x[:] = truth
-        _lateral(m, c, u, steps.standing[k])
-        _roll(m, c, steps.wheels[k], variances, truth)
+        _lateral(f, c, s, u, steps.standing[k])
+        _roll(memory, situation, steps.wheels[k], variances, truth)
         if steps.fix[k] >= 0:
-            _fix(m, c, steps.antenna[steps.fix[k]], variances, truth)
+            antenna = steps.antenna[steps.fix[k]]
+            _fix(memory, parameters, situation, antenna, variances, truth)
             if variances.velocity > 0.0 and not steps.standing[k]:
-                _velocity(m, c, steps.antenna[steps.fix[k]], variances, truth)
+                _velocity(memory, parameters, situation, antenna, variances, truth)
         if (k - first) % EVERY == 0:
-            _publish(m, c, work, rows[(k - first) // EVERY])
+            _publish(f, c, work, rows[(k - first) // EVERY])
 
 
 @compiled
-def _roll(m: Array, c: Array, wheels: Array, variances: Variances, truth: Array) -> None:
+def _roll(
+    memory: Array, situation: Array, wheels: Array, variances: Variances, truth: Array
+) -> None:
     """Take the paths of the wheels; one that has slipped is counted anew."""
-    x = m[kernels.STATE]
+    x = memory.view(MEMORY)[0].x
     variance = variances.pulse + variances.wheel_stamp * truth[Ix.SPEED] ** 2
     for wheel in range(len(wheels)):
         if wheels[wheel] == READ:
-            measurements.path(m, c, wheel, 0.0, variance, math.inf)
+            wheel_path.take(memory, situation, wheel, 0.0, variance, math.inf)
         elif wheels[wheel] == SLIPPED:
-            measurements.tie(m, c, wheel, variance)
+            wheel_path.begin(memory, situation, wheel, variance)
         x[:] = truth
 
 
 @compiled
-def _fix(m: Array, c: Array, antenna: Array, variances: Variances, truth: Array) -> None:
-    R, out = np.zeros(3), np.zeros((3, 2))
-    R[0] = variances.fix + variances.fix_stamp * truth[Ix.SPEED] ** 2
-    R[1] = variances.fix_up
-    measurements.position(m, c, antenna[:3], R, math.inf, math.inf, out)
-    m[kernels.STATE][:] = truth
+def _fix(
+    memory: Array,
+    parameters: Array,
+    situation: Array,
+    antenna: Array,
+    variances: Variances,
+    truth: Array,
+) -> None:
+    variance = variances.fix + variances.fix_stamp * truth[Ix.SPEED] ** 2
+    east, north, up, gate = antenna[0], antenna[1], antenna[2], math.inf
+    gnss_position.take(memory, parameters, situation, east, north, variance, 0.0, gate, gate)
+    gnss_position.take_height(memory, parameters, situation, up, variances.fix_up, gate)
+    memory.view(MEMORY)[0].x[:] = truth
 
 
 @compiled
-def _velocity(m: Array, c: Array, antenna: Array, variances: Variances, truth: Array) -> None:
-    out = np.zeros((3, 2))
-    measurements.velocity(m, c, antenna[3:], variances.velocity, math.inf, math.inf, out)
-    m[kernels.STATE][:] = truth
+def _velocity(
+    memory: Array,
+    parameters: Array,
+    situation: Array,
+    antenna: Array,
+    variances: Variances,
+    truth: Array,
+) -> None:
+    east, north, gate = antenna[3], antenna[4], math.inf
+    gnss_velocity.take(memory, parameters, situation, east, north, variances.velocity, gate, gate)
+    memory.view(MEMORY)[0].x[:] = truth
 
 
 @compiled
-def _rest(m: Array, c: Array) -> None:
-    """`tram_kernels.rest`, with errors of fixes that go on decaying."""
-    P = m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    keep = math.exp(-c[Pm.GNSS_DECAY] * STEP_S)
-    for slot in range(Ix.GNSS_EAST, Ix.GNSS_UP + 1):
+def _rest(f: Memory, c: Parameters, s: Situation) -> None:
+    """Let time pass as `motion.rest_state` does, with errors of fixes that go on decaying."""
+    keep = math.exp(-s.fix_decay * STEP_S)
+    for error in range(Ix.GNSS_EAST, Ix.GNSS_UP + 1):
         for other in range(SIZE):
-            P[slot, other] *= keep
+            f.P[error, other] *= keep
         for other in range(SIZE):
-            P[other, slot] *= keep
-    kernels.rest(m, c, STEP_S)
+            f.P[other, error] *= keep
+    rest_state(f, c, s, STEP_S)
 
 
 @compiled
-def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
+def _lateral(f: Memory, c: Parameters, s: Situation, u: Reading, standing: bool) -> None:
     """Take the lateral specific force; its noise is that of the last step's turning as well.
 
     y = Hδ + n_f + v n_ω, and n_ω has turned heading, roll and paths in the step: M = E[δ v n_ω].
-    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of
-    `tram_measurements.inertial`, which with a gate that lets nothing pass only tells it.
+    Then S = HPHᵀ + 2HM + R and K = (PHᵀ + M)/S. H is that of `lateral_force`, which with a gate
+    that lets nothing pass only tells it.
 
     References
     ----------
     Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
     Navigation, Wiley 2001, section 8.3.
     """
-    x, P, K = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE)), m[kernels.GAIN]
-    measurements.inertial(m, c, u, u, -1.0)
-    h, columns, count = kernels.row(m, 0), m[kernels.H_COLUMNS], int(m[kernels.SEEN][2])
-    variance = c[Pm.LATERAL_VARIANCE]
+    x, P, K = f.x, f.P, f.K[0]
+    take_lateral_force(f, c, u, u.angular_rate, -1.0)
+    h, columns, count = f.values[0].copy(), f.columns[0].copy(), f.counts[0]
+    take_constraint(f, c)
+    variance = c.lateral_variance
     K[:] = 0.0
     if not standing:
         sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
         cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
-        turned = x[Ix.SPEED] * c[Pm.YAW_DENSITY]
+        turned = x[Ix.SPEED] * s.rate_density[Z]
         variance += x[Ix.SPEED] * turned / STEP_S
         K[Ix.ROLL], K[Ix.PITCH], K[Ix.YAW] = turned * tp * cr, -turned * sr, turned * cr / cp
-        K[Ix.PATH_A] = -turned * c[Pm.SIGN_A] * c[Pm.OFFSET_A] * (1.0 + x[Ix.SCALE_A])
-        K[Ix.PATH_B] = -turned * c[Pm.SIGN_B] * c[Pm.OFFSET_B] * (1.0 + x[Ix.SCALE_B])
+        for wheel in (LEFT, RIGHT):
+            offset, counted = s.wheel_offset[wheel], 1.0 + x[Ix.SCALE_A + wheel]
+            K[Ix.PATH_A + wheel] = -turned * s.wheel_sign[wheel] * offset * counted
     for k in range(count):
-        variance += h[k] * K[int(columns[k])]  # HM; the other one comes with HK below
+        variance += h[k] * K[columns[k]]  # HM; the other one comes with HK below
     for k in range(count):
-        K += h[k] * P[int(columns[k])]
+        K += h[k] * P[columns[k]]
     for k in range(count):
-        variance += h[k] * K[int(columns[k])]
+        variance += h[k] * K[columns[k]]
     for i in range(SIZE):
         for j in range(i + 1):
             P[i, j] -= K[i] * K[j] / variance
@@ -178,10 +230,9 @@ def _lateral(m: Array, c: Array, u: Array, standing: bool) -> None:
 
 
 @compiled
-def _publish(m: Array, c: Array, work: Array, row: Array) -> None:
-    """What the filter would say of its place, and of its states."""
-    P = m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    frames.origin(m, c[Pm.CLOCK_SHARE], work[0], work[1:])
+def _publish(f: Memory, c: Parameters, work: Array, row: Array) -> None:
+    """Give what the filter would say of its place, and the variances of its states."""
+    axes.origin(f, c.clock_share, work[0], work[1:])
     row[0], row[1], row[2] = work[1, 0], work[1, 1], work[2, 1]
     for i in range(SIZE):
-        row[3 + i] = P[i, i]
+        row[3 + i] = f.P[i, i]

@@ -60,7 +60,7 @@ def ekf() -> list[Figure]:
             rest = made[index + 1 :]
             break
     assert navigation is not None, "the ride is long enough to find its heading"
-    noise = navigation.inputs[1, :6] * 0.0
+    noise = navigation.reading[:6] * 0.0
 
     def step(frame: Sample) -> None:
         navigation.read(frame.message)

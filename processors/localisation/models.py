@@ -9,7 +9,7 @@ from tramstream.errors import ConfigError
 from tramstream.estimation.localiser import Localiser
 from tramstream.processors.kaspar2023.localiser import Kaspar2023Localiser
 from tramstream.processors.tram.localiser import TramLocaliser
-from tramstream.processors.tram.trace import TracedLocaliser
+from tramstream.processors.tram.trace import Tracer
 
 MODELS: dict[str, Callable[[Vehicle], Localiser]] = {
     TramLocaliser.name: TramLocaliser,
@@ -22,17 +22,17 @@ def localiser(vehicle: Vehicle) -> Localiser:
     return MODELS[vehicle.ekf.model](vehicle)
 
 
-def traced(vehicle: Vehicle) -> TracedLocaliser:
-    """Build the same filter so that it can be smoothed.
+def traced(vehicle: Vehicle, tracer: Tracer) -> Localiser:
+    """Build the same filter with somebody who writes down what a smoother needs.
 
     Raises
     ------
     ConfigError
         If the model has no smoother.
     """
-    if vehicle.ekf.model != TracedLocaliser.name:
+    if vehicle.ekf.model != TramLocaliser.name:
         raise ConfigError(
             f"$.ekf.model: {vehicle.ekf.model} has no smoother; "
-            f"{TracedLocaliser.name} is the model that has one"
+            f"{TramLocaliser.name} is the model that has one"
         )
-    return TracedLocaliser(vehicle)
+    return TramLocaliser(vehicle, tracer)

@@ -27,7 +27,7 @@ from tramstream.processor import Processor, Sample, State
 from tramstream.processors.localisation.matching import Matched, location_of
 from tramstream.processors.localisation.models import localiser, traced
 from tramstream.processors.tram.smoother import smooth
-from tramstream.processors.tram.trace import Trace, TracedLocaliser
+from tramstream.processors.tram.trace import Tracer
 from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
@@ -75,7 +75,7 @@ class LocalisationFilter(Processor):
         self._said: dict[str, int] = {}
         self._now_count = 0
         self._now_ns = 0  # stamp of the last state for now
-        self._ended: list[Trace] = []  # of filters before this one, where it is traced
+        self._tracer: Tracer | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
         made = self._take(sample)
@@ -143,12 +143,11 @@ class LocalisationFilter(Processor):
 
     def _start_again(self, stamp_ns: int) -> list[Sample]:
         """Nothing that is no number is ever published; the filter begins anew."""
-        self._ended = self._traces()
-        self.localiser = (
-            traced(self._vehicle)
-            if isinstance(self.localiser, TracedLocaliser)
-            else localiser(self._vehicle)
-        )
+        if self._tracer is None:
+            self.localiser = localiser(self._vehicle)
+        else:
+            self._tracer.restarted()
+            self.localiser = traced(self._vehicle, self._tracer)
         self._places = None
         return self._say("the filter's state was no number; it starts again", stamp_ns)
 
@@ -203,22 +202,19 @@ class LocalisationFilter(Processor):
         ConfigError
             If the model has no smoother.
         """
-        self.localiser = traced(self._vehicle)
+        tracer = Tracer()
+        self.localiser, self._tracer = traced(self._vehicle, tracer), tracer
 
     def smoothed(self) -> Iterator[Sample]:
         """See `tramstream.processor.Smoothing`."""
         last_ns = 0
-        for trace in self._traces():
+        for trace in self._tracer.traces if self._tracer is not None else []:
             places = Places(trace.level)
             for estimate in smooth(trace).estimates():
                 message = self._message(estimate, places)
                 if estimate.stamp_ns > last_ns and message is not None:
                     last_ns = estimate.stamp_ns
                     yield self.emit(keys.EST_SMOOTHED, message, last_ns)
-
-    def _traces(self) -> list[Trace]:
-        now = self.localiser.traces if isinstance(self.localiser, TracedLocaliser) else []
-        return self._ended + now
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:

@@ -10,74 +10,91 @@ Equations: docs/theory.md, section 7.7.
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
-from tramstream.processors.tram.states import Ix, Pm
+from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_model.records import READING_S, situation
 
 HELD_S = 0.1
-"""So long an inertial reading is good for; ten of them were due."""
+"""An inertial reading is good for so long; ten of them were due."""
 RATE_HELD_S = 1.0
-"""So long a yaw rate of the bus, which comes less often."""
+"""A yaw rate of the bus, which comes less often, is good for so long."""
 BRIDGED_S = 2.0
 """Over a shorter pause, the mean of the readings on either side is better than none."""
 SPEED_STD_MPS_RTS = 1.5
 """How the speed may change unseen: 5 m/s within ten seconds."""
 YAW_STD_RAD_RTS = 0.07
-"""How the heading may turn unseen: 0.15 rad/s (60 m at 9 m/s) for a quarter of a second,"""
+"""How the heading may turn unseen: 0.15 rad/s (60 m at 9 m/s) for a quarter of a second."""
 PAIR_YAW_STD_RAD_RTS = 0.2
-"""and for some seconds, where two wheels tell by how much."""
-
-_MOVING = slice(int(Pm.ACCEL_DENSITY), int(Pm.YAW_DENSITY) + 1)
+"""How the heading may turn unseen for some seconds, where two wheels tell by how much."""
 
 
-class Blind:
-    """Exchanges the densities of the model's noise; the parameters stay the filter's.
+class Drive(Enum):
+    """What tells the filter how the vehicle moves."""
 
-    Parameters
-    ----------
-    c : ndarray, shape (PARAMETERS,)
-        As they are with inertial readings, or, for a vehicle without an IMU, with a yaw rate.
+    INERTIAL = "inertial readings"
+    BRIDGED = "the readings on either side of a pause"
+    YAW_RATE = "the bus' own yaw rate"
+    COASTING = "nothing"
+
+
+class MotionNoise:
+    """Noise of speed and attitude, by what drives them; told to the filter when that changes.
+
+    Every drive follows on every other; which one is there, tells the frame (`Navigation.read`).
     """
 
-    def __init__(self, vehicle: Vehicle, c: Array) -> None:
-        tilt = vehicle.ekf.tilt_std_rad_rts
-        self._sighted = c[_MOVING].copy()
+    def __init__(self, vehicle: Vehicle) -> None:
+        s, tilt = situation(vehicle)[0], vehicle.ekf.tilt_std_rad_rts
+        self._inertial = np.array([s["accel_density"], *s["rate_density"]])
         self._bridged = np.array([SPEED_STD_MPS_RTS, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
-        self._blind = self._bridged.copy()
+        self._coasting = self._bridged.copy()
         if vehicle.odometer is not None and len(vehicle.odometer.wheels) > 1:
-            self._blind[-1] = PAIR_YAW_STD_RAD_RTS**2
-        self.active = False
-        """Whether the densities are others than those with readings."""
+            self._coasting[-1] = PAIR_YAW_STD_RAD_RTS**2
+        self._has_imu = vehicle.imu is not None
+        self._yaw_rate_variance = vehicle.wheels.yaw_rate_std_radps**2
+        imu = vehicle.imu
+        self._white = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
+        self._aliasing_s = imu.gyro_aliasing**2 * READING_S if imu is not None else 0.0
+        self.drive = Drive.INERTIAL
 
-    def begin(self, c: Array) -> None:
-        """Nothing tells of the motion."""
-        c[_MOVING] = self._blind
-        self.active = True
+    def inertial(self, ekf: TramFilter, shaking_variance: Array) -> None:
+        """Go on with a reading; `shaking_variance` is what its neighbours differ by, (rad/s)²."""
+        if self.drive is not Drive.INERTIAL:
+            self._tell(ekf, Drive.INERTIAL, self._inertial)
+        if self._aliasing_s:
+            # Shaking that the readings do not resolve is white noise to the angles, axis by axis.
+            rates = shaking_variance * self._aliasing_s + self._white
+            ekf.drive_by(float(self._inertial[0]), rates)
 
-    def bridge(self, c: Array, pause_s: float) -> None:
-        """Readings on either side of a pause tell of it, the less the longer it was."""
-        c[_MOVING] = self._sighted + (pause_s / BRIDGED_S) ** 2 * self._bridged
-        self.active = True
+    def bridge(self, ekf: TramFilter, pause_s: float) -> None:
+        """Go on with the readings on either side of a pause: they tell the less, the longer."""
+        longer = (pause_s / BRIDGED_S) ** 2
+        self._tell(ekf, Drive.BRIDGED, self._inertial + longer * self._bridged)
 
-    def end(self, c: Array) -> None:
-        """Readings come again."""
-        if self.active:
-            c[_MOVING] = self._sighted
-            self.active = False
+    def coast(self, ekf: TramFilter) -> None:
+        """Go on with nothing that tells of the motion."""
+        self._tell(ekf, Drive.COASTING, self._coasting)
 
-    @staticmethod
-    def hold(row: Array, memory: Array) -> None:
-        """Fill a row of inputs so that no rate and no force act."""
-        row[:] = 0.0
-        row[:3] = memory[Ix.GYRO_X : Ix.GYRO_Z + 1]
+    def yaw_rate(self, ekf: TramFilter, interval_s: float | None) -> None:
+        """Go on with the bus' own yaw rate, whose white noise lasts one interval, where known."""
+        densities = (self._coasting if self._has_imu else self._inertial).copy()
+        if interval_s is not None:
+            densities[-1] = self._yaw_rate_variance * interval_s
+        self._tell(ekf, Drive.YAW_RATE, densities)
+
+    def _tell(self, ekf: TramFilter, drive: Drive, densities: Array) -> None:
+        self.drive = drive
+        ekf.drive_by(float(densities[0]), densities[1:])
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        return {"active": self.active}
+        return {"drive": self.drive.name}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.active = state["active"]
+        self.drive = Drive[state["drive"]]

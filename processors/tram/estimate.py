@@ -21,11 +21,9 @@ from tramstream.estimation.localiser import (
     Verdict,
     values_of,
 )
-from tramstream.processors.tram import axes as frames
-from tramstream.processors.tram.filter import STANDING_STD_MPS
-from tramstream.processors.tram.motion import COVARIANCE as COVARIANCE_OF_STATE
-from tramstream.processors.tram.motion import STATE
-from tramstream.processors.tram.states import SIZE, UNITS, Ix
+from tramstream.processors.tram_model import axes
+from tramstream.processors.tram_model.states import UNITS, Ix
+from tramstream.processors.tram_model.zero_velocity import STANDING_STD_MPS
 
 SPEED_VARIANCE = COVARIANCE + int(Ix.SPEED) * 8
 """In the values of an estimate, whose covariance has seven columns."""
@@ -34,11 +32,16 @@ NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 
 
 def estimate_of(
-    m: Array, c: Array, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+    memory: Array,
+    parameters: Array,
+    stamp_ns: int,
+    mode: int,
+    standing: bool,
+    verdicts: list[Verdict],
 ) -> Estimate:
-    """Give the motion of the vehicle's origin out of the filter's memory; see `say`."""
+    """Give the motion of the vehicle's origin out of the filter's memory."""
     values = np.empty(VALUES)
-    frames.say(m, c, mode != HEADING_UNKNOWN, values)
+    axes.estimate(memory, parameters, mode != HEADING_UNKNOWN, values)
     return of_values(values, stamp_ns, mode, standing, verdicts)
 
 
@@ -101,12 +104,10 @@ def at_fix(
     return moved
 
 
-def learned(m: Array) -> list[Learned]:
-    """Give what a filter with memory `m` has learned."""
-    values = m[STATE].tolist()
-    variances = m[COVARIANCE_OF_STATE].reshape(SIZE, SIZE).diagonal().tolist()
+def learned(state: Sequence[float], variances: Sequence[float]) -> list[Learned]:
+    """Give what a filter has learned, out of its state and the diagonal of its covariance."""
     return [
-        Learned(slot.name.lower(), values[slot], math.sqrt(max(variances[slot], 0.0)), unit)
+        Learned(slot.name.lower(), state[slot], math.sqrt(max(variances[slot], 0.0)), unit)
         for slot, unit in UNITS.items()
     ]
 

@@ -1,123 +1,103 @@
-"""The model `tram` as a filterpy filter: same attributes, compiled predict and update.
+"""The filter `tram`: it owns state, covariance, time and situation, and nobody else writes them.
 
-A filterpy user finds x, P, y, S, K, log_likelihood where they always are. `predict` and `update`
-are the general calls; what the vehicle's sensors measure has methods of its own, which cost about
-a microsecond each and report every innovation as a `Verdict`.
+`predict` moves it on, `apply` takes any measurement (`tram_model`), and the methods below them are
+all other ways to change it. Names are those of filterpy: x, P, F, and after each `apply` y, S, K,
+H, R and `log_likelihood`, as `filterpy.kalman.ExtendedKalmanFilter.update` leaves them, the scalars
+of a measurement taken together. They are made when they are asked for, out of what the kernels
+leave. It is no subclass: filterpy's Q, B, z and `update(z, HJacobian, Hx)` would not be what runs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
+from tramstream.clock import S as NS_PER_S
 from tramstream.config import Vehicle
-from tramstream.estimation.kalman import Array, update_scalar
-from tramstream.estimation.localiser import OnTrack, Verdict
-from tramstream.processors.tram import measurements
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram.states import PARAMETERS, SIZE, Ix, Pm
-
-EARTH_RADIUS_M = 6_371_000.0
-PAIR_GATE = 30.0
-"""Squared distance of a fix or a velocity that is refused: 3e-7 of honest ones."""
-PAIR_KNEE = 9.0
-"""From here on it is weighted down: 1 % of honest ones."""
-DOUBT_STD_M = 0.3
-"""A fix that is off by less than a few of these is never an outlier, however sure the filter is."""
-SCALAR_GATE = 25.0
-"""The same for scalars: 5 σ."""
-STANDING_STD_MPS = 0.002
-QUANTISATION = 1.0 / 3.0
-"""Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (docs/theory.md,
-section 3.5)."""
-READING_S = 0.01
-"""What one inertial mean of the fusion horizon lasts."""
-LOG_2PI = math.log(2.0 * math.pi)
+from tramstream.estimation.kalman import Array
+from tramstream.estimation.localiser import Estimate, Verdict
+from tramstream.estimation.records import frozen, numbers, one
+from tramstream.processors.tram.estimate import estimate_of
+from tramstream.processors.tram_model import motion, prediction_to_now, wheel_path
+from tramstream.processors.tram_model.measurement import (
+    NONE,
+    PAIR_GATE,
+    REFUSED,
+    SCALAR_GATE,
+    Measurement,
+)
+from tramstream.processors.tram_model.records import MEMORY, SITUATION, parameters, situation
+from tramstream.processors.tram_model.states import COLUMNS, ROWS, SIZE, Ix
+from tramstream.processors.tram_model.zero_velocity import STANDING_STD_MPS, ZeroVelocity
 
 SPEED, GYRO_Z = int(Ix.SPEED), int(Ix.GYRO_Z)
-SPEED_VARIANCE = kernels.COVARIANCE.start + SPEED * (SIZE + 1)
-"""Where they are in the memory; a name of `Ix` takes longer than what is read with it."""
-
-_COLUMNS = np.arange(SIZE)
-_FIX, _VELOCITY = (
-    ("gnss_east", "gnss_north", "gnss_up"),
-    ("gnss_velocity_east", "gnss_velocity_north"),
-)
-_TRACK = ("track_across", "track_heading", "track_grade")
-_PATH, _RIM = ("wheel_a", "wheel_b"), ("rim_a", "rim_b")
+"""A name of `Ix` takes longer to look up than what is read with it."""
+LEAST_STEP_S = 1e-6
+LONGEST_STEP_S = 0.1
+"""Through a pause the filter goes in steps: what a step adds to the speed moves the next one."""
+LOG_2PI = math.log(2.0 * math.pi)
+_ZERO_VELOCITY = ZeroVelocity()
 
 
-def parameters(vehicle: Vehicle, gravity_mps2: float) -> Array:
-    """Constants of the model out of a vehicle's configuration; see `tram_states.Pm`."""
-    c = np.zeros(PARAMETERS)
-    c[Pm.GRAVITY] = gravity_mps2
-    c[Pm.CURVATURE] = 1.0 / EARTH_RADIUS_M
-    wheels = vehicle.wheels
-    c[Pm.OFFSET_A], c[Pm.OFFSET_B] = wheels.track_m / 2, -wheels.track_m / 2
-    c[Pm.SIGN_A] = c[Pm.SIGN_B] = 1.0
-    c[Pm.SLIP_DENSITY] = vehicle.ekf.wheel_creep_m_rtm**2
-    if vehicle.gnss is not None:
-        c[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = vehicle.gnss.lever_arm_m
-    c[Pm.SIDE_DENSITY] = vehicle.ekf.side_slip_std_m_rts**2
-    c[Pm.HEAVE_DENSITY] = vehicle.ekf.heave_std_m_rts**2
-    c[Pm.HEAVE_VARIANCE] = c[Pm.HEAVE_DENSITY] / READING_S
-    imu = vehicle.imu
-    c[Pm.LATERAL_VARIANCE] = vehicle.ekf.sway_std_mps2_rthz**2 / READING_S
-    c[Pm.STANDING_VARIANCE] = STANDING_STD_MPS**2
-    if imu is None:
-        c[Pm.ACCEL_DENSITY] = vehicle.ekf.acceleration_std_mps2_rthz**2
-        c[Pm.ROLL_DENSITY] = c[Pm.PITCH_DENSITY] = vehicle.ekf.tilt_std_rad_rts**2
-        return c
-    c[Pm.IMU_X : Pm.IMU_Z + 1] = imu.lever_arm_m
-    fixes = vehicle.gnss.delay_std_s**2 if vehicle.gnss is not None else 0.0
-    if fixes + imu.delay_std_s > 0.0:
-        c[Pm.CLOCK_SHARE] = imu.delay_std_s**2 / (fixes + imu.delay_std_s**2)
-    c[Pm.ACCEL_DENSITY] = imu.accel_noise_mps2_rthz**2 + vehicle.ekf.force_std_mps2_rthz**2
-    c[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1] = imu.gyro_noise_radps_rthz**2
-    c[Pm.LATERAL_VARIANCE] += imu.accel_noise_mps2_rthz**2 / READING_S
-    c[Pm.READING_VARIANCE] = imu.gyro_noise_radps_rthz**2 / READING_S
-    c[Pm.VERTICAL_DENSITY] = vehicle.ekf.vertical_std_mps2_rthz**2
-    c[Pm.GYRO_WALK] = imu.gyro_walk_radps2_rthz**2
-    c[Pm.ACCEL_WALK] = imu.accel_walk_mps3_rthz**2
-    return c
+class Watcher(Protocol):
+    """Whoever wants to know what the filter does, as a smoother does."""
+
+    def predicted(self, memory: Array) -> None:
+        """Learn that state and covariance have moved on."""
+
+    def updated(self, memory: Array) -> None:
+        """Learn that a measurement was applied, or refused."""
+
+    def made_anew(self, state: int) -> None:
+        """Learn that a state has become independent of all that was before."""
 
 
-class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
-    """x (28, 1) and P (28, 28) of the model `tram`, in one block of memory.
+class TramFilter:
+    """x (28, 1) and P (28, 28) of the model `tram`.
 
     Parameters
     ----------
-    c : ndarray, shape (PARAMETERS,)
-        The model's constants; the filter reads them at every step, so that they may change.
+    vehicle : Vehicle
+    gravity_mps2 : float
+        At the place.
     """
 
-    def __init__(self, c: Array) -> None:
-        self.memory = np.zeros(kernels.MEMORY)
-        self.numbers = self.memory.data
-        """The same memory; a single number is read in a third of the time."""
-        self._x = self.memory[kernels.STATE].reshape(SIZE, 1)
-        self._P = self.memory[kernels.COVARIANCE].reshape(SIZE, SIZE)
-        super().__init__(dim_x=SIZE, dim_z=1)
-        self.parameters = c
+    def __init__(self, vehicle: Vehicle, gravity_mps2: float) -> None:
+        constants = parameters(vehicle, gravity_mps2)
+        self.parameters = frozen(constants)
+        """The model's constants; see `records.Parameters`."""
+        self.situation = situation(vehicle)
+        """How the vehicle goes; see `records.Situation`."""
+        self.fields = one(MEMORY)
+        """State, covariance, and what the last step left; see `records.Memory`."""
+        # What kernels take: the same as plain numbers.
+        self._signs = self.situation["wheel_sign"][0].data
+        self._c, self._s = numbers(constants), numbers(self.situation)
+        self.memory = numbers(self.fields)
+        self._x: Array = self.fields["x"][0]
+        self._P: Array = self.fields["P"][0]
+        self.state = self._x.data
+        """x, to be read: one number takes a third of the time that numpy takes."""
+        self.variances = self._P.diagonal().data
+        """Diagonal of P, likewise."""
+        self._y, self._S = self.fields["y"][0].data, self.fields["S"][0].data
+        self.stamp_ns = 0
+        """Time of the state, vehicle clock."""
         self.log_likelihood_sum = 0.0
-        """Of all measurements since it was last set to zero."""
-        self._out = np.zeros((3, 2))
-        self._z = np.zeros(3)
-        self._R = np.zeros(3)
-        self._R[2] = DOUBT_STD_M**2
+        """Of all measurements since it was last set to zero, without what all hypotheses share."""
+        self.watcher: Watcher | None = None
 
-    # filterpy keeps these as plain attributes; here they are views of the block of memory.
+    # What a filterpy user reads ------------------------------------------------------------------
     @property
     def x(self) -> Array:
-        return self._x
+        return self._x.reshape(SIZE, 1)
 
     @x.setter
     def x(self, value: Any) -> None:
-        self._x[:] = np.asarray(value, dtype=float).reshape(SIZE, 1)
+        self._x[:] = np.asarray(value, dtype=float).reshape(SIZE)
 
     @property
     def P(self) -> Array:
@@ -128,126 +108,122 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self._P[:] = np.eye(SIZE) * float(value) if np.ndim(value) == 0 else value
 
     @property
+    def F(self) -> Array:
+        """Transition of the last prediction."""
+        F = np.eye(SIZE)
+        F[ROWS, COLUMNS] += self.fields["A"][0][ROWS, COLUMNS]
+        return F
+
+    @property
+    def H(self) -> Array:
+        """Rows of the last measurement, as they were linearised."""
+        f = self.fields[0]
+        H = np.zeros((int(f["rows"]), SIZE))
+        for k, count in enumerate(f["counts"][: len(H)]):
+            H[k, f["columns"][k, :count]] = f["values"][k, :count]
+        return H
+
+    @property
+    def R(self) -> Array:
+        """Noise of the last measurement, as it was used."""
+        return np.diag(self.fields["R"][0, : self.fields["rows"][0]])
+
+    @property
+    def y(self) -> Array:
+        """Innovations of the last measurement, before it was taken."""
+        y: Array = self._unit_lower() @ self.fields["y"][0, : self.fields["rows"][0]]
+        return y.reshape(-1, 1)
+
+    @property
+    def S(self) -> Array:
+        """Covariance of the last innovations."""
+        f, L = self.fields[0], self._unit_lower()
+        S: Array = L @ np.diag(np.abs(f["S"][: len(L)])) @ L.T
+        if self.refused and len(S) == 2:
+            S[0, 1] = S[1, 0] = f["cross"]
+        return S
+
+    @property
+    def K(self) -> Array:
+        """Gain of the last measurement; zeros where the innovation gate refused it."""
+        L = self._unit_lower()
+        K: Array = np.linalg.solve(L.T, self.fields["K"][0, : len(L)]).T
+        return K
+
+    @property
+    def refused(self) -> bool:
+        """Whether the innovation gate refused the last measurement."""
+        return self._S[0] < 0.0
+
+    @property
     def log_likelihood(self) -> float:
-        """Of the last measurement that `update` took."""
-        y, S = np.atleast_1d(np.ravel(self.y)), np.atleast_2d(self.S)
-        return float(
-            -0.5 * (y @ np.linalg.solve(S, y) + math.log(np.linalg.det(S)) + len(y) * LOG_2PI)
-        )
+        """Logarithm of the density of the last innovations."""
+        y, S = self.y, self.S
+        distance = float((y.T @ np.linalg.solve(S, y))[0, 0])
+        return -0.5 * (distance + math.log(np.linalg.det(S)) + len(y) * LOG_2PI)
 
-    # The general calls ---------------------------------------------------------------------------
+    def _unit_lower(self) -> Array:
+        """L of S = L D Lᵀ, D being the variances of the scalars, each given those before it."""
+        H, K = self.H, self.fields["K"][0]
+        L = np.eye(len(H))
+        for k in range(len(H)):
+            L[k, :k] = K[:k] @ H[k]
+        return L
+
+    # Prediction ----------------------------------------------------------------------------------
     def predict(self, u: Array, dt: float) -> None:
-        """Move on by `dt` s with the inertial reading `u`; see `tram_kernels.move`."""
-        kernels.predict(self.memory, self.parameters, u, dt)
+        """Move on by `dt` s with the numbers of one inertial `Reading`."""
+        motion.predict(self.memory, self._c, self._s, u, dt)
+        if self.watcher is not None:
+            self.watcher.predicted(self.memory)
 
-    def update(
-        self,
-        z: Any,
-        HJacobian: Callable[..., Array],
-        Hx: Callable[..., Any],
-        R: Any = None,
-        args: Any = (),
-        hx_args: Any = (),
-        residual: Callable[[Any, Any], Any] = np.subtract,
-    ) -> None:
-        """Take any measurement, as `filterpy.kalman.ExtendedKalmanFilter.update` does.
-
-        Row after row, which is exact for a diagonal R; others are refused.
-
-        Raises
-        ------
-        ValueError
-            If R is not diagonal.
-        """
-        args = args if isinstance(args, tuple) else (args,)
-        hx_args = hx_args if isinstance(hx_args, tuple) else (hx_args,)
-        H = np.atleast_2d(HJacobian(self.x, *args))
-        R = self.R if R is None else R
-        R = np.asarray(R, dtype=float)
-        R = np.eye(len(H)) * R if R.ndim == 0 else R
-        if np.count_nonzero(R - np.diag(np.diag(R))):
-            raise ValueError("R is not diagonal: decorrelate the measurement first")
-        y = np.asarray(residual(np.asarray(z), Hx(self.x, *hx_args)), dtype=float).reshape(-1, 1)
-        self.y, self.z = y, np.asarray(z)
-        PHT = self._P @ H.T
-        self.S = H @ PHT + R
-        self.SI = np.linalg.inv(self.S)
-        self.K = PHT @ self.SI
-        before = self._x.copy()
-        gain = self.memory[kernels.GAIN]
-        for row, innovation, variance in zip(H, y[:, 0], np.diag(R), strict=True):
-            seen = float(innovation - row @ (self._x - before)[:, 0])
-            update_scalar(
-                self._x[:, 0], self._P, _COLUMNS, row, SIZE, seen, variance, math.inf, gain
-            )
-        self.x_post, self.P_post = self._x.copy(), self._P.copy()
-
-    # The vehicle's sensors -----------------------------------------------------------------------
     def rest(self, dt: float) -> None:
         """Let `dt` s pass for a vehicle that stands."""
-        kernels.rest(self.memory, self.parameters, dt)
+        motion.rest(self.memory, self._c, self._s, dt)
 
-    def inertial(self, u: Array, steady: Array) -> Verdict | None:
-        """Take the lateral specific force; a verdict only when it was refused."""
-        distance = measurements.inertial(self.memory, self.parameters, u, steady, SCALAR_GATE)
-        if distance >= 0.0:
-            self.log_likelihood_sum -= 0.5 * distance
-            return None
-        self.log_likelihood_sum -= 0.5 * SCALAR_GATE
-        variance = self.parameters[Pm.LATERAL_VARIANCE]
-        return Verdict("lateral_force", math.sqrt(-distance * variance), variance, False)
+    def go_to(self, stamp_ns: int, u: Array, standing: bool) -> None:
+        """Go to an instant, which lies in no past, with the numbers of one inertial `Reading`."""
+        dt = (stamp_ns - self.stamp_ns) / NS_PER_S
+        if dt < LEAST_STEP_S:
+            return
+        if standing:
+            self.rest(dt)
+        else:
+            while dt > LONGEST_STEP_S:
+                self.predict(u, LONGEST_STEP_S)
+                dt -= LONGEST_STEP_S
+            self.predict(u, dt)
+        self.stamp_ns = stamp_ns
 
-    def stop(self) -> bool:
-        """Take that the vehicle has no speed; False if its speed had to be forgotten for that."""
-        return bool(measurements.stop(self.memory, self.parameters, SCALAR_GATE))
+    def estimate_ahead(
+        self, ahead: Array, kept: Array, begin: int, end: int, mean: Array, values: Array
+    ) -> None:
+        """Fill the values of an estimate after newer readings; see `prediction_to_now`."""
+        given = self.memory, ahead, self._c, self._s, kept, begin, end, mean
+        prediction_to_now.estimate_ahead(*given, values)
 
-    def standing(self, u: Array) -> bool:
-        """Take all that a vehicle that stands shows; see `stop`."""
-        return bool(measurements.standing(self.memory, self.parameters, u, SCALAR_GATE))
+    def estimate(
+        self, stamp_ns: int, mode: int, standing: bool, verdicts: list[Verdict]
+    ) -> Estimate:
+        """Give the motion of the vehicle's origin."""
+        return estimate_of(self.memory, self._c, stamp_ns, mode, standing, verdicts)
 
-    def position(self, z: Sequence[float], std: float, std_up: float) -> list[Verdict]:
-        """Take the antenna's position in l, m; the deviations are those of the white part."""
-        self._z[0], self._z[1], self._z[2] = z
-        self._R[0], self._R[1] = std * std, std_up * std_up
-        measurements.position(
-            self.memory, self.parameters, self._z, self._R, PAIR_GATE, PAIR_KNEE, self._out
-        )
-        return self._all_judged(_FIX)
+    # Measurements --------------------------------------------------------------------------------
+    def apply(self, measurement: Measurement) -> list[Verdict]:
+        """Take a measurement, or refuse it; gives what is published of its innovations."""
+        measurement.update(self.memory, self._c, self._s)
+        if self.watcher is not None:
+            self.watcher.updated(self.memory)
+        kind = measurement.verdicts
+        if kind == NONE:
+            return []
+        if kind == REFUSED:
+            return self._judge_alike(measurement)
+        y, S = self._y, self._S
+        return [self._judge(name, y[k], S[k]) for k, name in enumerate(measurement.names)]
 
-    def velocity(self, z: Sequence[float], std: float) -> list[Verdict]:
-        """Take the antenna's velocity over ground (east, north), m/s."""
-        self._z[0], self._z[1] = z
-        measurements.velocity(
-            self.memory, self.parameters, self._z, std * std, PAIR_GATE, PAIR_KNEE, self._out
-        )
-        return self._all_judged(_VELOCITY)
-
-    def path(self, wheel: int, way: float, variance: float) -> Verdict:
-        """Take a wheel's path since its last reading, m."""
-        y, S = measurements.path(self.memory, self.parameters, wheel, way, variance, SCALAR_GATE)
-        return self._judged(_PATH[wheel], y, S)
-
-    def rim(self, wheel: int, speed: float, std: float) -> Verdict:
-        """Take a wheel's speed, m/s."""
-        y, S = measurements.rim(self.memory, self.parameters, wheel, speed, std * std, SCALAR_GATE)
-        return self._judged(_RIM[wheel], y, S)
-
-    def track(self, on_track: OnTrack) -> list[Verdict]:
-        """Take that the vehicle is on a track, of which the state as it is is off."""
-        measurements.track(self.memory, np.array(on_track), SCALAR_GATE, self._out)
-        known = 2 if math.isnan(on_track.grade_rad) else 3
-        return self._all_judged(_TRACK[:known])
-
-    def tie(self, wheel: int, variance: float) -> None:
-        """Count a wheel's path from here on."""
-        measurements.tie(self.memory, self.parameters, wheel, variance)
-
-    def counted(self, wheel: int) -> float:
-        """Give the path since its last reading that a wheel's counter should show now, m."""
-        return float(measurements.counted(self.memory, self.parameters, wheel))
-
-    def _judged(self, name: str, y: float, S: float) -> Verdict:
-        """Make a verdict of an innovation and its variance, negative where it was refused."""
+    def _judge(self, name: str, y: float, S: float) -> Verdict:
+        """Count an innovation; its variance is negative where it was refused."""
         accepted = S > 0.0
         S = abs(S)
         # What is refused counts as much as the last that would not have been.
@@ -255,18 +231,134 @@ class TramFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self.log_likelihood_sum -= 0.5 * (distance + math.log(S))
         return Verdict(name, y, S, accepted)
 
-    def _all_judged(self, names: Sequence[str]) -> list[Verdict]:
-        return [
-            self._judged(name, *seen) for name, seen in zip(names, self._out.tolist(), strict=False)
-        ]
+    def _judge_alike(self, measurement: Measurement) -> list[Verdict]:
+        """Count an innovation whose variance is the same for all hypotheses: it tells none."""
+        y, S = self._y[0], self._S[0]
+        if S > 0.0:
+            self.log_likelihood_sum -= 0.5 * (y * y / S)
+            return []
+        self.log_likelihood_sum -= 0.5 * SCALAR_GATE
+        return [Verdict(measurement.names[0], y, -S, False)]
+
+    def zero_velocity(self) -> bool:
+        """Take that the vehicle has no speed; False if its speed had to be forgotten for that."""
+        self.apply(_ZERO_VELOCITY)
+        if self.refused:
+            self.reset(Ix.SPEED, 0.0, STANDING_STD_MPS)
+            return False
+        return True
 
     # Changes that are no measurement -------------------------------------------------------------
-    def forget(self, slots: Sequence[Ix], stds: Sequence[float]) -> None:
+    def forget(self, states: Sequence[Ix], stds: Sequence[float]) -> None:
         """Make states independent of all others, with new deviations; their values stay."""
-        for slot, std in zip(slots, stds, strict=True):
-            self._P[slot, :] = self._P[:, slot] = 0.0
-            self._P[slot, slot] = std * std
+        for state, std in zip(states, stds, strict=True):
+            self._P[state, :] = self._P[:, state] = 0.0
+            self._P[state, state] = std * std
+        if self.watcher is not None:
+            for state in states:
+                self.watcher.made_anew(state)
 
-    def widen(self, slot: Ix, std: float) -> None:
+    def reset(self, state: Ix, value: float, std: float) -> None:
+        """Give a state a value of its own that nothing before has told."""
+        self._x[state] = value
+        self.forget((state,), (std,))
+
+    def widen(self, state: Ix, std: float) -> None:
         """Add to a state's uncertainty; what others know of it stays."""
-        self._P[slot, slot] += std * std
+        self._P[state, state] += std * std
+
+    def shift(self, state: Ix, by: float) -> None:
+        """Add to a state; its uncertainty stays."""
+        self._x[state] += by
+
+    def set_time(self, stamp_ns: int) -> None:
+        """Let the state be that of another instant, without anything having passed."""
+        self.stamp_ns = stamp_ns
+
+    def set_states(self, first: Ix, values: Sequence[float]) -> None:
+        """Give neighbouring states new values; their uncertainty stays."""
+        self._x[first : first + len(values)] = values
+
+    def begin_path(self, wheel: int, variance: float) -> None:
+        """Count a wheel's path from here on; see `wheel_path.begin`."""
+        wheel_path.begin(self.memory, self._s, wheel, variance)
+        if self.watcher is not None:
+            self.watcher.made_anew(Ix.PATH_A + wheel)
+
+    def shown_path(self, wheel: int) -> float:
+        """Give the path since its last reading that a wheel's counter should show now, m."""
+        return float(wheel_path.shown(self.memory, self._s, wheel))
+
+    # The situation -------------------------------------------------------------------------------
+    def know_heading(self, yaw_rad: float, std_rad: float) -> None:
+        """Set the heading; the position, until now the antenna's, becomes the pivot's."""
+        self.reset(Ix.YAW, yaw_rad, std_rad)
+        self.situation["heading_known"] = 1
+        ax, ay, az = self.parameters["antenna_lever"][0].tolist()
+        ax += self.state[Ix.PIVOT]
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        east, north = cos * ax - sin * ay, sin * ax + cos * ay
+        x, P = self._x, self._P
+        x[Ix.EAST] -= east
+        x[Ix.NORTH] -= north
+        x[Ix.UP] -= az
+        # An error of the heading moves the vehicle about the antenna.
+        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
+            P[state, :] += moved * P[Ix.YAW, :]
+        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
+            P[:, state] += moved * P[:, Ix.YAW]
+
+    def lose_heading(self) -> None:
+        """Go on without a heading: the position is the antenna's from here on."""
+        self.situation["heading_known"] = 0
+        self.reset(Ix.YAW, 0.0, 0.0)
+
+    def drive_by(self, accel_density: float, rate_density: Sequence[float] | Array) -> None:
+        """Set the noise of what drives speed and attitude; see `records.Situation`."""
+        self.situation["accel_density"] = accel_density
+        self.situation["rate_density"] = rate_density
+
+    def set_fix_error(self, decay: float, density: float, up_density: float) -> None:
+        """Set how the error of the fixes goes on; see `records.Situation`."""
+        s = self.situation
+        s["fix_decay"], s["fix_density"], s["fix_up_density"] = decay, density, up_density
+
+    def set_wheel(self, wheel: int, offset_m: float) -> None:
+        """Set how far a wheel stands to the left of the axis."""
+        self.situation["wheel_offset"][0, wheel] = offset_m
+
+    def wheel_offsets_m(self) -> list[float]:
+        """How far each wheel stands to the left of the axis."""
+        offsets: list[float] = self.situation["wheel_offset"][0].tolist()
+        return offsets
+
+    def wheel_sign(self, wheel: int) -> float:
+        """1 or −1, by which way a wheel counts."""
+        sign: float = self._signs[wheel]
+        return sign
+
+    def set_wheel_sign(self, wheel: int, sign: float) -> None:
+        """Set which way a wheel counts."""
+        self.situation["wheel_sign"][0, wheel] = sign
+
+    # Memory --------------------------------------------------------------------------------------
+    def snapshot(self) -> dict[str, Any]:
+        """Give what the next step needs; parameters are the configuration's."""
+        f = self.fields[0]
+        return {
+            "x": self._x.copy(),
+            "P": self._P.copy(),
+            "acceleration": float(f["acceleration"]),
+            "yaw_rate": float(f["yaw_rate"]),
+            "situation": {name: self.situation[name][0].tolist() for name in SITUATION.names or ()},
+            "stamp_ns": self.stamp_ns,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a snapshot."""
+        self._x[:], self._P[:] = state["x"], state["P"]
+        self.fields["acceleration"] = state["acceleration"]
+        self.fields["yaw_rate"] = state["yaw_rate"]
+        for name, value in state["situation"].items():
+            self.situation[name] = value
+        self.stamp_ns = state["stamp_ns"]

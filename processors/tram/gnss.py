@@ -20,7 +20,9 @@ from tramstream.estimation.fixes import antenna_l, deviations
 from tramstream.estimation.localiser import Verdict
 from tramstream.geodesy import LocalLevel
 from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram.states import Ix, Pm
+from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
+from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
+from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
 WHITE_SHARE = 0.1
@@ -95,7 +97,7 @@ class Fixes:
 
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
-        ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1] = 0.0
+        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
         self._std_m, self._refused_ns, self._absurd_ns, self._absurd_m = 0.0, 0, 0, 0.0
 
     def take(
@@ -106,9 +108,10 @@ class Fixes:
         self._begun_ns = self._begun_ns or fix.stamp_ns
         self._set_noise(ekf, std, std_up)
         z = antenna_l(fix, level)
-        verdicts = ekf.position(
-            z, max(WHITE_SHARE * std, WHITE_FLOOR_M), max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
-        )
+        white = max(WHITE_SHARE * std, WHITE_FLOOR_M)
+        white_up = max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
+        verdicts = ekf.apply(GnssPosition(z[0], z[1], white * white))
+        verdicts += ekf.apply(GnssHeight(z[2], white_up * white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         refused = not verdicts[0].accepted
@@ -117,7 +120,8 @@ class Fixes:
             self._refused_ns = 0
         measured = None if standing else velocity(fix)
         if measured is not None:
-            verdicts += ekf.velocity(measured, _velocity_std(fix))
+            std_mps = _velocity_std(fix)
+            verdicts += ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
         sentence = self._doubt(fix.stamp_ns, ekf, std, standing) or sentence
         if not refused and self._absurd_ns == 0:
             self.accepted_ns = fix.stamp_ns
@@ -125,20 +129,18 @@ class Fixes:
         return verdicts, sentence
 
     def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
-        c = ekf.parameters
         if self._std_m == 0.0 or not 1 / NEW_REGIME < std / self._std_m < NEW_REGIME:
             if self._std_m != 0.0:
-                ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1] = 0.0
-            slots = (Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP)
-            ekf.forget(slots, (std, std, std_up))
+                ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
+            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (std, std, std_up))
             self._std_m = std
-        east, north, up = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP + 1].tolist()
+        east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         heavy = max(1.0, (east * east + north * north) / (HEAVY_SIGMA * std) ** 2)
         heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
         white = 1.0 - WHITE_SHARE**2
-        c[Pm.GNSS_DENSITY] = 2.0 * white * std * std * heavy / self.tau_s
-        c[Pm.GNSS_UP_DENSITY] = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
-        c[Pm.GNSS_DECAY] = 1.0 / self.tau_s
+        density = 2.0 * white * std * std * heavy / self.tau_s
+        up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
+        ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
 
     def _refuse(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> str:
         self._refused_ns = self._refused_ns or stamp_ns
@@ -148,30 +150,29 @@ class Fixes:
         self._refused_ns = 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
         if young:
-            error = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
+            error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
             self._move(ekf, error[0] + east, error[1] + north, std)
             return "the first fixes were far from all that came; the position is taken from these"
         for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
-            ekf.memory[slot] += innovation
-            ekf.forget((slot,), (max(std, abs(float(ekf.memory[slot]))),))
+            error_m = ekf.state[slot] + innovation
+            ekf.reset(slot, error_m, max(std, abs(error_m)))
         return "fixes have not fitted the motion for long; their error is taken for larger"
 
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
         """Let the position be elsewhere, where fixes without an error would have it."""
-        x = ekf.memory
-        x[Ix.EAST] += east
-        x[Ix.NORTH] += north
-        x[Ix.GNSS_EAST] = x[Ix.GNSS_NORTH] = 0.0
+        ekf.shift(Ix.EAST, east)
+        ekf.shift(Ix.NORTH, north)
+        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""
-        ekf.memory[Ix.GNSS_UP] += innovation
-        ekf.forget((Ix.GNSS_UP,), (max(std_up, abs(float(ekf.memory[Ix.GNSS_UP]))),))
+        error_m = ekf.state[Ix.GNSS_UP] + innovation
+        ekf.reset(Ix.GNSS_UP, error_m, max(std_up, abs(error_m)))
 
     def _doubt(self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool) -> str:
         """Take the position where the fixes are when their error has been absurd for long."""
-        east, north = ekf.memory[Ix.GNSS_EAST : Ix.GNSS_UP].tolist()
+        east, north = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
         error = math.hypot(east, north)
         if error < ABSURD_SIGMA * std:
             self._absurd_ns, self._absurd_m = 0, 0.0
@@ -181,7 +182,7 @@ class Fixes:
         if self._absurd_ns == 0:
             self._absurd_ns = stamp_ns
         dt_s = min((stamp_ns - self._last_ns) / S, 2.0)
-        self._absurd_m += 0.0 if standing else abs(float(ekf.memory[Ix.SPEED])) * dt_s
+        self._absurd_m += 0.0 if standing else abs(ekf.state[Ix.SPEED]) * dt_s
         lasted_s = (stamp_ns - self._absurd_ns) / S
         for_long = lasted_s > ABSURD_S and self._absurd_m > ABSURD_M
         if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):

@@ -17,13 +17,13 @@ import math
 from typing import Any
 
 from tramstream.clock import S
-from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
 from tramstream.processors.tram.alignment import Alignment
 from tramstream.processors.tram.navigation import Navigation
-from tramstream.processors.tram.states import Ix, Pm
+from tramstream.processors.tram_model.records import Z
+from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
 
@@ -41,8 +41,6 @@ SURE = 20.0
 stays within 5 either way; the first acceleration or curve makes it hundreds."""
 UNSURE_WAY_M = 300.0
 """After so long a way the likelier direction is taken, however little."""
-_SIDES = slice(int(Pm.OFFSET_A), int(Pm.OFFSET_B) + 1)
-"""Where the wheels are, which may have been met since the departure."""
 
 
 class Search:
@@ -59,15 +57,15 @@ class Search:
     def __init__(self, navigation: Navigation, fix: GnssFix | None) -> None:
         self.found = self.failed = False
         self._anchor = navigation.snapshot()
-        self._departed_ns = navigation.stamp_ns
+        self._departed_ns = navigation.ekf.stamp_ns
         self._rested = navigation.stood
         self._kept: list[SyncFrame] = []
-        self._last_ns = navigation.stamp_ns
+        self._last_ns = navigation.ekf.stamp_ns
         self._turned = 0.0
         self._alignment = Alignment(navigation.fixes.tau_s)
         self._tried: list[dict[str, Any]] = []
         """Either direction: `sign`, `likelihood`, `navigation`; the likelier first."""
-        if fix is not None and navigation.stamp_ns - fix.stamp_ns < YOUNG_S * S:
+        if fix is not None and navigation.ekf.stamp_ns - fix.stamp_ns < YOUNG_S * S:
             self._see(navigation, fix, 0.0)
 
     @property
@@ -82,7 +80,6 @@ class Search:
         standing: bool,
         noise: Array | None,
         speed_mps: float,
-        vehicle: Vehicle,
     ) -> list[Verdict]:
         """Take a frame whose inertial reading `navigation` has; leaves it with what is likeliest.
 
@@ -99,28 +96,29 @@ class Search:
         self._kept.append(frame)
         for reading in frame.odometry:
             if not navigation.wheels.known:
-                navigation.wheels.meet(reading, navigation.ekf)
-            navigation.wheels.note(reading)
+                navigation.wheels.assign(reading, navigation.ekf)
+            navigation.wheels.remember(reading)
         if standing or frame.stamp_ns - self._departed_ns > KEEP_S * S:
             self.failed = True
         elif self._alignment.ready:
-            return self._try(navigation, noise, speed_mps, vehicle)
+            return self._try(navigation, noise, speed_mps)
         return []
 
     def give_up(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
         wheels, stamp_ns = navigation.wheels.snapshot(), self._last_ns
-        sides = navigation.ekf.parameters[_SIDES].copy()
+        offsets_m = navigation.ekf.wheel_offsets_m()
         navigation.restore(self._anchor)
         navigation.wheels.restore(wheels)
-        navigation.ekf.parameters[_SIDES] = sides
-        navigation.stamp_ns = stamp_ns
+        for wheel, offset_m in enumerate(offsets_m):  # they may have been assigned since
+            navigation.ekf.set_wheel(wheel, offset_m)
+        navigation.ekf.set_time(stamp_ns)
 
     # Displacements -------------------------------------------------------------------------------
     def _follow(self, navigation: Navigation, frame: SyncFrame) -> None:
         dt_s = (frame.stamp_ns - self._last_ns) / S
-        bias = float(navigation.ekf.memory[Ix.GYRO_Z])
-        self._turned += (float(navigation.inputs[2, 2]) - bias) * dt_s
+        rate = float(navigation.inertial["between"]["angular_rate"][0, Z])
+        self._turned += (rate - navigation.ekf.state[Ix.GYRO_Z]) * dt_s
         self._last_ns = frame.stamp_ns
         for fix in frame.gnss:
             self._see(navigation, fix, (fix.stamp_ns - self._departed_ns) / S)
@@ -132,22 +130,17 @@ class Search:
             self._alignment.take(time_s, east, north, self._turned, std)
 
     # Directions ----------------------------------------------------------------------------------
-    def _try(
-        self, navigation: Navigation, noise: Array | None, speed_mps: float, vehicle: Vehicle
-    ) -> list[Verdict]:
+    def _try(self, navigation: Navigation, noise: Array | None, speed_mps: float) -> list[Verdict]:
         counted = navigation.wheels.counted(self._kept)
         direction = navigation.wheels.direction(counted)
         verdicts: dict[float, list[Verdict]] = {}
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
             navigation.restore(self._anchor)
             ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad
-            navigation.face(
-                yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD, vehicle
-            )
+            navigation.know_heading(yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD)
             navigation.wheels.run(sign, counted, ekf)
             if not self._rested:
-                ekf.memory[Ix.SPEED] = sign * speed_mps
-                ekf.forget((Ix.SPEED,), (SPEED_PRIOR_MPS,))
+                ekf.reset(Ix.SPEED, sign * speed_mps, SPEED_PRIOR_MPS)
             ekf.log_likelihood_sum = FORWARDS if sign > 0.0 else 0.0
             for frame in self._kept:
                 inertial = navigation.read(frame)

@@ -23,14 +23,14 @@ from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, 
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
 from tramstream.processors.tram import estimate as estimates
-from tramstream.processors.tram.filter import GYRO_Z, SPEED, SPEED_VARIANCE
+from tramstream.processors.tram.filter import GYRO_Z, SPEED
 from tramstream.processors.tram.gnss import doubts, velocity
 from tramstream.processors.tram.heading import Search
-from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation import Navigation, Watcher
 from tramstream.processors.tram.outage import Parked, Silence
 from tramstream.processors.tram.predictor import Ahead
 from tramstream.processors.tram.standstill import Standstill
-from tramstream.processors.tram.states import Ix
+from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -55,10 +55,10 @@ class TramLocaliser:
     """See the module; keeps `tramstream.estimation.localiser.Localiser`."""
 
     name = "tram"
-    navigation_type: type[Navigation] = Navigation
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, watcher: Watcher | None = None) -> None:
         self._vehicle = vehicle
+        self._watcher = watcher
         self._navigation: Navigation | None = None
         self._lever_arm_m = vehicle.gnss.lever_arm_m if vehicle.gnss else (0.0, 0.0, 0.0)
         self._standstill = Standstill()
@@ -116,6 +116,8 @@ class TramLocaliser:
         if self._far_ns[0] and self._began_elsewhere():
             self._begin_again("fixes stay far away from where the ride began")
             return None
+        if self._watcher is not None and self._aligned:
+            self._watcher.believed(navigation)
         self._last = self._estimate(navigation, standing, verdicts)
         return self._last
 
@@ -129,9 +131,10 @@ class TramLocaliser:
                 self._complaints.append(f"{reason} was left out")
                 continue
             level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
-            self._navigation = navigation = self.navigation_type(self._vehicle, level)
-            navigation.stamp_ns = self._begun_ns = frame.stamp_ns
-            navigation.unface()
+            self._navigation = navigation = Navigation(self._vehicle, level, self._watcher)
+            self._begun_ns = frame.stamp_ns
+            navigation.ekf.set_time(frame.stamp_ns)
+            navigation.lose_heading()
             return navigation
         return None
 
@@ -142,10 +145,10 @@ class TramLocaliser:
         counted_m = 0.0
         for reading in frame.odometry:
             counted_m += self._count(reading)
-        n, stamp_ns = navigation.ekf.numbers, self._stamp_ns
-        speed, variance = (n[SPEED], n[SPEED_VARIANCE]) if self._aligned else (math.nan, 0.0)
+        x, variances, stamp_ns = navigation.ekf.state, navigation.ekf.variances, self._stamp_ns
+        speed, variance = (x[SPEED], variances[SPEED]) if self._aligned else (math.nan, 0.0)
         u = navigation.reading if self._inertial else None
-        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, n[GYRO_Z])
+        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, x[GYRO_Z])
         if not standing:
             heard = stamp_ns - self._wheels_ns < HEARD_S * S
             self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
@@ -204,7 +207,7 @@ class TramLocaliser:
                 return []
             self._search = Search(navigation, self._last_fix)
         search, speed_mps = self._search, self._standstill.speed_over_ground_mps
-        verdicts = search.take(navigation, frame, standing, noise, speed_mps, self._vehicle)
+        verdicts = search.take(navigation, frame, standing, noise, speed_mps)
         if search.found:
             self._aligned, self._parked = True, None
         elif search.failed:
@@ -218,21 +221,22 @@ class TramLocaliser:
         """Nothing is known of the place but the last fix, and how far that may be."""
         ekf, fix, std, std_up = navigation.ekf, self._last_fix, 1000.0, 1000.0
         if fix is not None:
-            ekf.memory[Ix.EAST : Ix.UP + 1] = antenna_l(fix, navigation.level)
+            ekf.set_states(Ix.EAST, antenna_l(fix, navigation.level))
             stated = navigation.accuracies_m(fix)
             std, std_up = (math.hypot(3.0 * each, self._way_m) for each in stated)
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std_up))
-        ekf.memory[Ix.SPEED] = 0.0
-        ekf.forget((Ix.SPEED,), (0.0,))
+        ekf.reset(Ix.SPEED, 0.0, 0.0)
 
     # Silence -------------------------------------------------------------------------------------
     def _lose(self, navigation: Navigation) -> None:
         """Let time pass until now of which nothing is known but what the sensors' errors do."""
-        navigation.ekf.rest((self._stamp_ns - navigation.stamp_ns) / S)
-        navigation.fixes.renew(navigation.ekf)
+        ekf = navigation.ekf
+        ekf.rest((self._stamp_ns - ekf.stamp_ns) / S)
+        navigation.fixes.renew(ekf)
         for wheel in (0, 1):
-            navigation.ekf.tie(wheel, 0.0)
-        navigation.stamp_ns, navigation.stood = self._stamp_ns, False
+            ekf.begin_path(wheel, 0.0)
+        ekf.set_time(self._stamp_ns)
+        navigation.stood = False
         self._place_again(navigation)
 
     def _listen(self, navigation: Navigation, frame: SyncFrame) -> None:
@@ -250,7 +254,7 @@ class TramLocaliser:
             )
             self._aligned, self._search = False, None
             self._way_m += UNSEEN_MPS * silent_s
-            navigation.unface()
+            navigation.lose_heading()
             self._lose(navigation)
 
     def _wake(
@@ -271,7 +275,7 @@ class TramLocaliser:
     def _begin_again(self, sentence: str) -> None:
         """Forget everything."""
         self._complaints.append(f"{sentence}; the filter begins anew")
-        self.restore(type(self)(self._vehicle).snapshot())
+        self.restore(TramLocaliser(self._vehicle).snapshot())
 
     def _set_back(self, stamp_ns: int) -> bool:
         """Whether time that ran backwards has gone on from there: then all begins anew."""
@@ -296,10 +300,7 @@ class TramLocaliser:
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
         mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
-        ekf = navigation.ekf
-        estimate = estimates.estimate_of(
-            ekf.memory, ekf.parameters, self._stamp_ns, mode, standing, verdicts
-        )
+        estimate = navigation.ekf.estimate(self._stamp_ns, mode, standing, verdicts)
         if self._aligned:
             return estimate
         fix = self._last_fix
@@ -317,7 +318,7 @@ class TramLocaliser:
 
     def constrain(self, on_track: OnTrack) -> None:
         if self._navigation is not None and self._aligned:
-            self._navigation.given += self._navigation.ekf.track(on_track)
+            self._navigation.on_track(on_track)
 
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
@@ -333,7 +334,7 @@ class TramLocaliser:
         return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])
 
     def learned(self) -> list[Learned]:
-        return [] if self._navigation is None else estimates.learned(self._navigation.ekf.memory)
+        return [] if self._navigation is None else self._navigation.learned()
 
     def complaints(self) -> list[str]:
         found, self._complaints = self._complaints, []
@@ -362,9 +363,11 @@ class TramLocaliser:
 
     def restore(self, state: State) -> None:
         self._navigation = self._search = self._parked = None
+        if self._watcher is not None:
+            self._watcher.restarted()
         if state["level"] is not None:
             level = LocalLevel(*state["level"])
-            self._navigation = navigation = self.navigation_type(self._vehicle, level)
+            self._navigation = navigation = Navigation(self._vehicle, level, self._watcher)
             if state["search"] is not None:
                 self._search = Search(navigation, None)
                 self._search.restore(state["search"])

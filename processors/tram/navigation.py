@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,14 +14,28 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import deviations, unusable
 from tramstream.estimation.kalman import Array
-from tramstream.estimation.localiser import DEAD_RECKONING, TRACKING, Verdict
+from tramstream.estimation.localiser import (
+    DEAD_RECKONING,
+    TRACKING,
+    Learned,
+    OnTrack,
+    Verdict,
+)
+from tramstream.estimation.records import numbers, one
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.processors.tram import axes as frames
-from tramstream.processors.tram.coasting import BRIDGED_S, HELD_S, RATE_HELD_S, Blind
-from tramstream.processors.tram.filter import READING_S, TramFilter, parameters
+from tramstream.processors.tram.coasting import BRIDGED_S, HELD_S, RATE_HELD_S, MotionNoise
+from tramstream.processors.tram.estimate import learned
+from tramstream.processors.tram.filter import GYRO_Z, TramFilter
 from tramstream.processors.tram.gnss import Fixes
-from tramstream.processors.tram.states import PARAMETERS, Ix, Pm
 from tramstream.processors.tram.wheels import WheelPair
+from tramstream.processors.tram_model import axes
+from tramstream.processors.tram_model.lateral_force import LateralForce
+from tramstream.processors.tram_model.level_force import LevelForce
+from tramstream.processors.tram_model.records import INERTIAL, Z
+from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
+from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
+from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -35,48 +49,72 @@ GYRO_SCALE_STD = 0.003
 START_STD_M = 1000.0
 """Position before the first fix."""
 LEAVING_STD_MPS = 0.01
+"""Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
-"""Speed that standing may hide in its last moment, with wheels and without."""
-LEAST_STEP_S = 1e-6
-LONGEST_STEP_S = 0.1
-"""Through a pause the filter goes in steps: what a step adds to the speed moves the next one."""
+"""The same speed without wheels; chosen by hand."""
 ASTRAY_S = 0.5
 """A measurement so far outside of its frame has a stamp that is wrong."""
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
 
 
+class Watcher(Protocol):
+    """Whoever wants to know what becomes of a navigation, as a smoother does."""
+
+    def found(self, navigation: Navigation) -> None:
+        """Learn that the heading is known from here on."""
+
+    def lost(self, navigation: Navigation) -> None:
+        """Learn that it is not, from here on."""
+
+    def stepped(self, navigation: Navigation, standing: bool) -> None:
+        """Learn that a frame has been gone through."""
+
+    def mark(self, navigation: Navigation) -> int:
+        """Give the number by which `go_back` finds this place again."""
+
+    def go_back(self, navigation: Navigation, mark: int) -> None:
+        """Learn that the memory is again that of a marked place; 0: of an unmarked one."""
+
+    def believed(self, navigation: Navigation) -> None:
+        """Learn that the heading is held to be the right one."""
+
+    def restarted(self) -> None:
+        """Learn that there is another navigation from here on."""
+
+
 class Navigation:
     """Filter, wheels and fixes of a vehicle whose place is known."""
 
-    filter_type: type[TramFilter] = TramFilter
-
-    def __init__(self, vehicle: Vehicle, level: LocalLevel) -> None:
+    def __init__(self, vehicle: Vehicle, level: LocalLevel, watcher: Watcher | None = None) -> None:
         self.level = level
+        self._watcher = watcher
         gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
-        self.ekf = self.filter_type(parameters(vehicle, gravity))
+        self.ekf = TramFilter(vehicle, gravity)
         self.wheels = WheelPair(vehicle)
         self.fixes = Fixes(vehicle)
-        self.stamp_ns = 0
-        self.inputs = np.zeros((4, 10))
-        """Inertial reading before, now, and what acts between them."""
-        self.reading, self._between = self.inputs[1], self.inputs[2]
-        self._shaking, self._steady = self.inputs[3, 3:6], self.inputs[3, 6:9]
+        self.inertial = one(INERTIAL)
+        """The inertial readings, see `records.Inertial`."""
+        self.reading: Array = numbers(self.inertial["now"])
+        """The newest one as plain numbers: rates, specific forces, angular accelerations, 1."""
+        self.between: Array = numbers(self.inertial["between"])
+        """What acts between the last two, as plain numbers."""
+        self._inertial: Array = numbers(self.inertial)
+        self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
+        self._shaking: Array = self.inertial["shaking_variance"][0]
+        self._now = self.inertial["now"]
         self.complaints: list[str] = []
         self.given: list[Verdict] = []
-        """Of what was taken since the last frame."""
+        """Verdicts on what was taken since the last frame."""
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
         self._read_ns = 0
-        self._blind = Blind(vehicle, self.ekf.parameters)
+        self._noise = MotionNoise(vehicle)
         self._has_imu = imu is not None
-        self._still_floor = np.zeros(2)
-        self._aliasing = imu.gyro_aliasing**2 if imu is not None else 0.0
-        if imu is not None:
-            rate, force = imu.gyro_noise_radps_rthz, imu.accel_noise_mps2_rthz
-            self._still_floor = np.array([rate**2, force**2])
-        self._yaw_rate_variance = vehicle.wheels.yaw_rate_std_radps**2
+        self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
+        self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
+        self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
         self._rate_ns = 0
         self.stood = False
         """Whether the vehicle stood in the last frame."""
@@ -105,8 +143,7 @@ class Navigation:
                 vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0
             )
         self.ekf.P = np.diag(std**2)
-        self.ekf.memory[Ix.WHEEL_DELAY] = wheels.delay_s
-        self.ekf.memory[Ix.PIVOT] = vehicle.ekf.pivot_m
+        self.ekf.set_states(Ix.WHEEL_DELAY, (wheels.delay_s, vehicle.ekf.pivot_m))
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
@@ -116,57 +153,50 @@ class Navigation:
         if frame.stamp_ns - self._read_ns < HELD_S * S:
             return False
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
-        if rates and abs(rates[-1].yaw_rate_radps) < frames.FASTEST_RADPS:
+        if rates and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS:
             self._read_rate(rates[-1])
         elif frame.stamp_ns - self._rate_ns > RATE_HELD_S * S:
-            for row in self.inputs[1:3]:
-                self._blind.hold(row, self.ekf.memory)
-            self._blind.begin(self.ekf.parameters)
+            self._hold("now")
+            self._hold("between")
+            self._noise.coast(self.ekf)
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
         stamp_ns = mean.stamp_ns
         dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
         pause = dt > HELD_S
-        anew = pause and (dt > BRIDGED_S or self.inputs[1, 9] == 0.0)
+        anew = pause and (dt > BRIDGED_S or self._now["accelerometer"][0] == 0.0)
         lasts = 0.0 if anew else dt
-        if not frames.read(self.inputs, self._C_vb, *frames.reading(mean), lasts):
+        if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
             self.complaints.append("an inertial reading that cannot be was left out")
             return False
         self._read_ns = stamp_ns
         if anew:
-            self._blind.hold(self.inputs[2], self.ekf.memory)
-            self._blind.begin(self.ekf.parameters)
+            self._hold("between")
+            self._noise.coast(self.ekf)
         elif pause:
-            self._blind.bridge(self.ekf.parameters, dt)
+            self._noise.bridge(self.ekf, dt)
         else:
-            if self._blind.active:
-                self._blind.end(self.ekf.parameters)
-            if self._aliasing:
-                self._shaken()
+            self._noise.inertial(self.ekf, self._shaking)
         return True
 
-    def _shaken(self) -> None:
-        """Shaking that the readings do not resolve is white noise to the angles, axis by axis."""
-        white, share = self._still_floor[0], self._aliasing * READING_S
-        densities = self.ekf.parameters[Pm.ROLL_DENSITY : Pm.YAW_DENSITY + 1]
-        np.multiply(self._shaking, share, out=densities)
-        densities += white
+    def _hold(self, which: str) -> None:
+        """Fill a reading so that no rate and no force act."""
+        reading = self.inertial[which]
+        numbers(reading)[:] = 0.0
+        reading["angular_rate"] = self.ekf.state[Ix.GYRO_X : Ix.GYRO_Z + 1]
 
     def _read_rate(self, reading: Odometry) -> None:
-        """The bus' own yaw rate stands for a gyroscope; its white noise lasts one interval."""
-        c, bias = self.ekf.parameters, float(self.ekf.memory[Ix.GYRO_Z])
-        for row in self.inputs[1:3]:
-            self._blind.hold(row, self.ekf.memory)
-        if self._has_imu:  # the bias that the filter knows is not that of this sensor
-            self._blind.begin(c)
-        else:
-            self._blind.end(c)
-            bias = 0.0
-        self.inputs[1:3, 2] = reading.yaw_rate_radps + bias
+        """Let the bus' own yaw rate stand for a gyroscope."""
+        # The bias that the filter knows is not that of this sensor, where there is an IMU.
+        bias = self.ekf.state[GYRO_Z] if self._has_imu else 0.0
+        for held in ("now", "between"):
+            self._hold(held)
+            self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
+        interval_s = None
         if self._rate_ns:
-            interval = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
-            c[Pm.YAW_DENSITY] = self._yaw_rate_variance * interval
+            interval_s = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
+        self._noise.yaw_rate(self.ekf, interval_s)
         self._rate_ns = reading.stamp_ns
 
     # One frame -----------------------------------------------------------------------------------
@@ -192,50 +222,50 @@ class Navigation:
                 stamp_ns = measurement.stamp_ns
                 if not self._of(stamp_ns, frame_ns):
                     continue
-                self._advance(min(stamp_ns, frame_ns), standing)
+                ekf.go_to(min(stamp_ns, frame_ns), self.between, standing)
                 verdicts += self._measure(measurement, standing)
-        self._advance(frame_ns, standing)
+        ekf.go_to(frame_ns, self.between, standing)
         if noise is None:
             if standing:
-                ekf.stop()
-            return verdicts
-        if standing:
-            self._stand(self.reading, noise)
-        verdict = ekf.inertial(self.reading, self._steady)
-        if verdict is not None:
-            verdicts.append(verdict)
+                ekf.zero_velocity()
+        else:
+            if standing:
+                self._stand(noise)
+            verdicts += self._constrain()
+        if self._watcher is not None:
+            self._watcher.stepped(self, standing)
         return verdicts
 
-    def _advance(self, stamp_ns: int, standing: bool) -> None:
-        dt = (stamp_ns - self.stamp_ns) / S
-        if dt < LEAST_STEP_S:
-            return
-        if standing:
-            self.ekf.rest(dt)
-        else:
-            while dt > LONGEST_STEP_S:
-                self.ekf.predict(self._between, LONGEST_STEP_S)
-                dt -= LONGEST_STEP_S
-            self.ekf.predict(self._between, dt)
-        self.stamp_ns = stamp_ns
+    def _constrain(self) -> list[Verdict]:
+        """Take that the vehicle slips sideways no more than it flies."""
+        ekf = self.ekf
+        refused = ekf.apply(self._lateral)
+        if refused:
+            (verdict,) = refused
+            variance = float(ekf.parameters["lateral_variance"][0])
+            distance = verdict.innovation * verdict.innovation / verdict.variance
+            refused = [Verdict("lateral_force", math.sqrt(distance * variance), variance, False)]
+        if self._heaves:
+            ekf.apply(self._vertical)
+        return refused
 
     def _of(self, stamp_ns: int, frame_ns: int) -> bool:
         """Whether a measurement belongs where it is: behind the last frame, not beyond this one."""
-        fits = max(self.stamp_ns - stamp_ns, stamp_ns - frame_ns) < ASTRAY_S * S
+        fits = max(self.ekf.stamp_ns - stamp_ns, stamp_ns - frame_ns) < ASTRAY_S * S
         if not fits:
             self.complaints.append("a measurement that is not of its frame's time was left out")
         return fits
 
-    def _stand(self, u: Array, noise: Array) -> None:
-        c = self.ekf.parameters
-        rate, force = self._still_floor.tolist()
-        a, b, d, x, _, _ = noise.tolist()
+    def _stand(self, noise: Array) -> None:
+        """Take what a vehicle that stands shows: no speed, biases as rates, gravity along x."""
         # The floor is the white noise of a 10 ms mean; shaking comes on top of it.
-        c[Pm.STILL_ROLL_VARIANCE] = max(a, 100.0 * rate)
-        c[Pm.STILL_PITCH_VARIANCE] = max(b, 100.0 * rate)
-        c[Pm.STILL_YAW_VARIANCE] = max(d, 100.0 * rate)
-        c[Pm.STILL_FORCE_VARIANCE] = max(x, 100.0 * force)
-        self.ekf.standing(u)
+        rate, force = 100.0 * self._white_rate, 100.0 * self._white_force
+        roll, pitch, yaw, along, _, _ = noise.tolist()
+        ekf = self.ekf
+        ekf.zero_velocity()
+        variances = max(roll, rate), max(pitch, rate), max(yaw, rate)
+        ekf.apply(ZeroAngularRate(self.reading, *variances))
+        ekf.apply(LevelForce(self.reading, max(along, force)))
 
     def _measure(self, measurement: Any, standing: bool) -> list[Verdict]:
         if isinstance(measurement, GnssFix):
@@ -246,44 +276,45 @@ class Navigation:
                 self.complaints.append(sentence)
             return verdicts
         if not self.wheels.known:
-            self.wheels.meet(measurement, self.ekf)
+            self.wheels.assign(measurement, self.ekf)
         return self.wheels.take(measurement, self.ekf)
 
     # Changes of the situation --------------------------------------------------------------------
-    def face(self, yaw_rad: float, std_rad: float, vehicle: Vehicle) -> None:
-        """Set the heading; the position, until now the antenna's, becomes the vehicle's."""
-        ekf, c = self.ekf, self.ekf.parameters
-        ekf.memory[Ix.YAW] = yaw_rad
-        ekf.forget((Ix.YAW,), (std_rad,))
-        if vehicle.gnss is None:
-            return
-        ax, ay, az = vehicle.gnss.lever_arm_m
-        c[Pm.ANTENNA_X], c[Pm.ANTENNA_Y], c[Pm.ANTENNA_Z] = ax, ay, az
-        ax += float(ekf.memory[Ix.PIVOT])
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        east, north = cos * ax - sin * ay, sin * ax + cos * ay
-        ekf.memory[Ix.EAST] -= east
-        ekf.memory[Ix.NORTH] -= north
-        ekf.memory[Ix.UP] -= az
-        # An error of the heading moves the vehicle about the antenna.
-        for slot, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            ekf.P[slot, :] += moved * ekf.P[Ix.YAW, :]
-        for slot, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            ekf.P[:, slot] += moved * ekf.P[:, Ix.YAW]
+    def on_track(self, on_track: OnTrack) -> None:
+        """Take that the vehicle is on a track, of which the state as it is is off."""
+        ekf, told = self.ekf, on_track
+        east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
+        n = told.normal_east, told.normal_north
+        self.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance))
+        heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
+        self.given += ekf.apply(TrackHeading(*n, *heading))
+        if not math.isnan(told.grade_rad):
+            self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance))
 
-    def unface(self) -> None:
-        """While the heading is unknown, the position is the antenna's."""
-        self.ekf.parameters[Pm.ANTENNA_X : Pm.ANTENNA_Z + 1] = 0.0
-        self.ekf.memory[Ix.YAW] = 0.0
-        self.ekf.forget((Ix.YAW,), (0.0,))
+    def know_heading(self, yaw_rad: float, std_rad: float) -> None:
+        """Set the heading; see `TramFilter.know_heading`."""
+        self.ekf.know_heading(yaw_rad, std_rad)
+        self.go_on_with_heading()
+
+    def go_on_with_heading(self) -> None:
+        """Go on with a heading that is known, found or remembered."""
+        if self._watcher is not None:
+            self._watcher.found(self)
+
+    def lose_heading(self) -> None:
+        """Go on without a heading; see `TramFilter.lose_heading`."""
+        self.ekf.lose_heading()
+        if self._watcher is not None:
+            self._watcher.lost(self)
 
     def mode(self, stamp_ns: int) -> int:
         """What the place rests on at `stamp_ns`, once the heading is known."""
         since_ns = stamp_ns - self.fixes.accepted_ns
         return DEAD_RECKONING if since_ns > LOST_S * S else TRACKING
 
-    def begin(self) -> None:
-        """Go on with a heading that is known again without having been sought."""
+    def learned(self) -> list[Learned]:
+        """Give what has been learned of the sensors."""
+        return learned(self.ekf.state, self.ekf.variances)
 
     def accuracy_m(self, fix: GnssFix) -> float:
         """Deviation of a fix on each horizontal axis."""
@@ -295,30 +326,32 @@ class Navigation:
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        return {
-            "memory": self.ekf.memory.copy(),
-            "parameters": self.ekf.parameters.copy(),
-            "stamp_ns": self.stamp_ns,
-            "inputs": self.inputs.copy(),
+        state = {
+            "filter": self.ekf.snapshot(),
+            "inertial": self._inertial.copy(),
             "read_ns": self._read_ns,
             "rate_ns": self._rate_ns,
-            "blind": self._blind.snapshot(),
+            "noise": self._noise.snapshot(),
             "stood": self.stood,
             "wheels": self.wheels.snapshot(),
             "fixes": self.fixes.snapshot(),
             "given": [tuple(each) for each in self.given],
         }
+        if self._watcher is not None:
+            state["watched"] = self._watcher.mark(self)
+        return state
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.ekf.memory[:] = state["memory"]
-        self.ekf.parameters = np.array(state["parameters"]).reshape(PARAMETERS)
-        self.stamp_ns, self._read_ns = state["stamp_ns"], state["read_ns"]
-        self.inputs[:] = state["inputs"]
-        self._rate_ns, self.stood = state["rate_ns"], state["stood"]
-        self._blind.restore(state["blind"])
+        self.ekf.restore(state["filter"])
+        self._inertial[:] = state["inertial"]
+        self._read_ns, self._rate_ns = state["read_ns"], state["rate_ns"]
+        self.stood = state["stood"]
+        self._noise.restore(state["noise"])
         self.wheels.restore(state["wheels"])
         self.fixes.restore(state["fixes"])
         self.given = [Verdict(*each) for each in state["given"]]
+        if self._watcher is not None:
+            self._watcher.go_back(self, state.get("watched", 0))
 
 
 _stamp: Callable[[Any], int] = attrgetter("stamp_ns")

@@ -17,7 +17,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.processors.tram.navigation import Navigation
-from tramstream.processors.tram.states import Ix
+from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -96,7 +96,7 @@ class Parked:
 
     def __init__(self, navigation: Navigation) -> None:
         self._navigation = navigation.snapshot()
-        self._stamp_ns = navigation.stamp_ns
+        self._stamp_ns = navigation.ekf.stamp_ns
         self._counters = navigation.wheels.counters()
 
     def moved(
@@ -121,7 +121,7 @@ class Parked:
         usable = [fix for fix in fixes if fix.valid and not unusable(fix, navigation.level)]
         if not usable or not standing:
             return None
-        x = self._navigation["memory"]
+        x = self._navigation["filter"]["x"]
         east, north, _ = antenna_l(usable[-1], navigation.level)
         away_m = math.hypot(east - float(x[Ix.EAST]), north - float(x[Ix.NORTH]))
         reach_m = SAME_PLACE_SIGMA * navigation.accuracy_m(usable[-1]) + SAME_PLACE_M
@@ -129,12 +129,12 @@ class Parked:
 
     def take_up(self, navigation: Navigation, stamp_ns: int) -> None:
         """Let the vehicle have stood all the time until `stamp_ns`."""
-        navigation.unface()  # whatever it went through meanwhile has ended
+        navigation.lose_heading()  # whatever it went through meanwhile has ended
         navigation.restore(self._navigation)
-        navigation.begin()
+        navigation.go_on_with_heading()
         navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
-        navigation.stamp_ns = stamp_ns
+        navigation.ekf.set_time(stamp_ns)
 
     def snapshot(self) -> dict[str, Any]:
         return {

@@ -11,10 +11,11 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import VALUES
-from tramstream.processors.tram import axes as frames
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram import predictor_kernels
+from tramstream.estimation.records import numbers, one
 from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_model import axes, prediction_to_now
+from tramstream.processors.tram_model.prediction_to_now import KEPT
+from tramstream.processors.tram_model.records import INERTIAL, MEMORY, READING
 from tramstream.proto.sync_pb2 import ImuMean
 
 CAPACITY = 512
@@ -29,12 +30,13 @@ class Ahead:
     def __init__(self, vehicle: Vehicle) -> None:
         mounting = vehicle.imu.mounting_deg if vehicle.imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._readings = np.zeros((CAPACITY, predictor_kernels.READING))
+        self._kept = np.zeros(CAPACITY, KEPT)
+        self._numbers = numbers(self._kept)
         self._stamps_ns: list[int] = []
         self._begin = 0  # the first that the filter has not seen
-        self._inputs = np.zeros((4, 10))
+        self._inertial = numbers(one(INERTIAL))
         self._last_ns = 0
-        self._memory = np.zeros(kernels.MEMORY)
+        self._memory, self._mean = numbers(one(MEMORY)), numbers(one(READING))
 
     @property
     def newest_ns(self) -> int:
@@ -51,14 +53,14 @@ class Ahead:
             dt = 0.0
         if len(self._stamps_ns) == CAPACITY:
             self._drop(max(self._begin, CAPACITY // 4))
-        index, reading = len(self._stamps_ns), frames.reading(mean)
-        if predictor_kernels.keep(self._readings, index, self._inputs, self._C_vb, *reading, dt):
+        index, read = len(self._stamps_ns), axes.scalars_of(mean)
+        if prediction_to_now.keep(self._numbers, index, self._inertial, self._C_vb, *read, dt):
             self._last_ns = stamp_ns
             self._stamps_ns.append(stamp_ns)
 
     def _drop(self, count: int) -> None:
         kept = len(self._stamps_ns) - count
-        self._readings[:kept] = self._readings[count : count + kept].copy()
+        self._kept[:kept] = self._kept[count : count + kept].copy()
         del self._stamps_ns[:count]
         self._begin = max(0, self._begin - count)
 
@@ -73,26 +75,30 @@ class Ahead:
             begin += 1
         self._begin = begin
         values = np.empty(VALUES)
-        predictor_kernels.say_ahead(
-            ekf.memory, self._memory, ekf.parameters, self._readings, begin, count, values
-        )
+        ekf.estimate_ahead(self._memory, self._numbers, begin, count, self._mean, values)
         return values
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
-        kept = self._readings[: len(self._stamps_ns)]
+        kept = self._kept[: len(self._stamps_ns)]
         return {
-            "inputs": kept[:, :10].copy(),
-            "durations": kept[:, 10].copy(),
+            "inputs": kept["reading"].copy().view(np.float64).reshape(-1, _NUMBERS),
+            "durations": kept["duration"].copy(),
             "stamps_ns": list(self._stamps_ns),
             "begin": self._begin,
-            "reading": self._inputs.copy(),
+            "reading": self._inertial.copy(),
             "last_ns": self._last_ns,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         self._stamps_ns, self._begin = list(state["stamps_ns"]), state["begin"]
-        kept = self._readings[: len(self._stamps_ns)]
-        kept[:, :10], kept[:, 10] = state["inputs"], state["durations"]
-        self._inputs = np.array(state["reading"])
+        kept = self._kept[: len(self._stamps_ns)]
+        inputs = np.ascontiguousarray(state["inputs"], dtype=np.float64)
+        kept["reading"] = inputs.view(READING).reshape(-1)
+        kept["duration"] = state["durations"]
+        read = np.ravel(state["reading"])  # older versions had one number more
+        self._inertial[:] = read[: len(self._inertial)]
         self._last_ns = state["last_ns"]
+
+
+_NUMBERS = READING.itemsize // 8

@@ -34,24 +34,22 @@ from numpy.typing import NDArray
 
 from tramstream.estimation.kalman import Array, compiled, predict_covariance
 from tramstream.estimation.localiser import Estimate
+from tramstream.estimation.records import Records, numbers, one
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram import motion as kernels
 from tramstream.processors.tram.estimate import estimate_of
-from tramstream.processors.tram.motion import ENTRY_COUNT
-from tramstream.processors.tram.states import COLUMNS, ROWS, SIZE
 from tramstream.processors.tram.trace import (
     ANEW,
-    INPUTS,
     INSTANT,
+    INSTANTS,
     PREDICTION,
-    ROW,
     SCALAR,
     SCALAR_TAIL,
-    TRIANGLE,
+    Instant,
     Trace,
 )
-
-_COVARIANCE = slice(SIZE, SIZE + TRIANGLE)
+from tramstream.processors.tram_model.motion import move
+from tramstream.processors.tram_model.records import MEMORY, PARAMETERS, SITUATION
+from tramstream.processors.tram_model.states import COLUMNS, ENTRY_COUNT, ROWS, SIZE
 
 
 @compiled
@@ -97,7 +95,7 @@ def go_back(tape: Array, at: int, adjoint: Array, Lambda: Array, work: Array) ->
     Parameters
     ----------
     tape : ndarray
-        See `tram_trace`.
+        See `trace`.
     adjoint, Lambda : ndarray, shapes (SIZE,) and (SIZE, SIZE)
         λ and Λ; changed in place.
     work : ndarray, shape (SIZE, SIZE)
@@ -132,16 +130,15 @@ def go_back(tape: Array, at: int, adjoint: Array, Lambda: Array, work: Array) ->
 
 
 @compiled
-def smooth_instant(row: Array, adjoint: Array, Lambda: Array, P: Array, work: Array) -> None:
-    """Turn the filter's state and covariance in `row` (`tram_trace.ROW`) into smoothed ones."""
-    at = SIZE
-    for i in range(SIZE):
-        for j in range(i + 1):
-            P[i, j] = P[j, i] = row[at]
-            at += 1
+def smooth_instant(
+    instants: Records, number: int, adjoint: Array, Lambda: Array, P: Array, work: Array
+) -> None:
+    """Turn the filter's state and covariance of an instant into smoothed ones."""
+    instant = instants[number]
+    unfold(instant, P)
     for i in range(SIZE):
         for j in range(SIZE):
-            row[i] -= P[i, j] * adjoint[j]
+            instant.x[i] -= P[i, j] * adjoint[j]
             work[i, j] = 0.0
     for i in range(SIZE):
         for k in range(SIZE):
@@ -149,34 +146,47 @@ def smooth_instant(row: Array, adjoint: Array, Lambda: Array, P: Array, work: Ar
             if factor != 0.0:
                 for j in range(SIZE):
                     work[i, j] += factor * Lambda[k, j]
-    at = SIZE
+    at = 0
     for i in range(SIZE):
         for j in range(i + 1):
             gained = 0.0
             for k in range(SIZE):
                 gained += work[i, k] * P[k, j]
-            row[at] -= gained
+            instant.triangle[at] -= gained
             at += 1
         # What is known to the last digit may come out below nothing by rounding.
-        row[at - 1] = max(row[at - 1], 0.0)
+        instant.triangle[at - 1] = max(instant.triangle[at - 1], 0.0)
 
 
 @compiled
-def recall(row: Array, c: Array, standing: bool, m: Array) -> None:
-    """Put a smoothed row where the filter keeps its state, with what follows from it."""
-    x, P = m[kernels.STATE], m[kernels.COVARIANCE].reshape((SIZE, SIZE))
-    at = SIZE
+def unfold(instant: Instant, P: Array) -> None:
+    """Make a covariance out of its lower triangle."""
+    at = 0
     for i in range(SIZE):
-        x[i] = row[i]
         for j in range(i + 1):
-            P[i, j] = P[j, i] = row[at]
+            P[i, j] = P[j, i] = instant.triangle[at]
             at += 1
-    m[kernels.ACCELERATION] = m[kernels.YAW_RATE] = 0.0
+
+
+@compiled
+def recall(
+    instants: Records,
+    k: int,
+    parameters: Array,
+    situation: Array,
+    standing: bool,
+    memory: Array,
+) -> None:
+    """Put a smoothed instant where the filter keeps its state, with what follows from it."""
+    f, instant = memory.view(MEMORY)[0], instants[k]
+    c, s = parameters.view(PARAMETERS)[0], situation.view(SITUATION)[0]
+    unfold(instant, f.P)
+    for i in range(SIZE):
+        f.x[i] = instant.x[i]
+    f.acceleration = f.yaw_rate = 0.0
     if not standing:
         # `move` works on a copy: its derivatives are wanted, not its step.
-        m[kernels.ACCELERATION], m[kernels.YAW_RATE] = kernels.move(
-            x.copy(), c, row[at : at + INPUTS], 0.0
-        )
+        f.acceleration, f.yaw_rate = move(f.x.copy(), c, s, instant.reading, 0.0)
 
 
 @dataclass(frozen=True)
@@ -189,38 +199,40 @@ class Smoothed:
     mode: NDArray[np.int8]
     """As the filter had it."""
     standing: NDArray[np.bool_]
-    rows: Array
-    """(n, ROW) of `tram_trace`, smoothed."""
+    instants: Records
+    """`trace.Instant` of each, smoothed."""
     parameters: Array
+    situation: Array
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
     @property
     def x(self) -> Array:
-        """(n, SIZE): the states of `tram_states.Ix`."""
-        return self.rows[:, :SIZE]
+        """(n, SIZE): the states of `Ix`."""
+        states: Array = self.instants["x"]
+        return states
 
     def covariance(self, k: int) -> Array:
         """(SIZE, SIZE): of the state at instant `k`."""
         P = np.zeros((SIZE, SIZE))
-        P[np.tril_indices(SIZE)] = self.rows[k, _COVARIANCE]
+        P[np.tril_indices(SIZE)] = self.instants["triangle"][k]
         full: Array = P + np.tril(P, -1).T
         return full
 
     def estimates(self) -> Iterator[Estimate]:
         """The same as the filter says it: motion of the vehicle's origin, no verdicts."""
-        m = np.zeros(kernels.MEMORY)
+        memory, given = numbers(one(MEMORY)), (self.parameters, self.situation)
         for k, stamp_ns in enumerate(self.stamp_ns.tolist()):
-            standing = bool(self.standing[k])
-            recall(self.rows[k], self.parameters, standing, m)
-            yield estimate_of(m, self.parameters, stamp_ns, int(self.mode[k]), standing, [])
+            standing, mode = bool(self.standing[k]), int(self.mode[k])
+            recall(self.instants, k, *given, standing, memory)
+            yield estimate_of(memory, self.parameters, stamp_ns, mode, standing, [])
 
 
 def smooth(trace: Trace) -> Smoothed:
     """Go back over a trace; what came after its last instant is left out."""
     count = len(trace)
-    rows = np.concatenate(trace.rows)[:count] if count else np.empty((0, ROW))
+    instants = np.concatenate(trace.instants)[:count] if count else np.empty(0, INSTANTS)
     adjoint, Lambda = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     P, work = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
     k = count
@@ -228,13 +240,14 @@ def smooth(trace: Trace) -> Smoothed:
         at = go_back(block, end, adjoint, Lambda, work)
         while at >= 0:
             k -= 1
-            smooth_instant(rows[k], adjoint, Lambda, P, work)
+            smooth_instant(instants, k, adjoint, Lambda, P, work)
             at = go_back(block, at, adjoint, Lambda, work)
     return Smoothed(
         level=trace.level,
         stamp_ns=np.array(trace.stamp_ns, dtype=np.int64),
         mode=np.array(trace.mode, dtype=np.int8),
         standing=np.array(trace.standing, dtype=np.bool_),
-        rows=rows,
+        instants=instants,
         parameters=trace.parameters,
+        situation=trace.situation,
     )

@@ -17,11 +17,16 @@ from typing import Any
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.localiser import Verdict
-from tramstream.processors.tram.filter import QUANTISATION, SPEED, TramFilter
-from tramstream.processors.tram.states import Ix, Pm
+from tramstream.processors.tram.filter import SPEED, TramFilter
+from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_model.wheel_path import WheelPath
+from tramstream.processors.tram_model.wheel_speed import WheelSpeed
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
 
+QUANTISATION = 1.0 / 3.0
+"""Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (docs/theory.md,
+section 3.5)."""
 AGREE_S = 0.8
 """A wheel that has slipped is believed again when it has gone the filter's way for so long..."""
 AGREE_SIGMA = 4.0
@@ -78,14 +83,12 @@ class Wheel:
         return self.ahead if self.ahead > self.behind else -self.behind
 
 
-_SIGN = int(Pm.SIGN_A)
-
-
 class WheelPair:
     """The one or two wheels that the filter has states for."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         config = vehicle.wheels
+        self._track_m = config.track_m
         self._m_per_pulse = config.m_per_pulse
         self._pulse_variance = config.m_per_pulse**2 * QUANTISATION
         self._stamp_variance = config.stamp_std_s**2
@@ -104,19 +107,18 @@ class WheelPair:
         lower = name.lower()
         return "left" if "left" in lower else "right" if "right" in lower else "middle"
 
-    def meet(self, reading: Odometry, ekf: TramFilter) -> None:
+    def assign(self, reading: Odometry, ekf: TramFilter) -> None:
         """Give slots to the wheels of the first reading: left and right, else whatever comes."""
         sides = {wheel.wheel: self.side(wheel.wheel) for wheel in reading.wheels}
         chosen: list[str] = []
         for side in ("left", "right", "middle"):
             named = [name for name, its in sides.items() if its == side]
             chosen += named[:1] if side != "middle" or not chosen else []
-        c = ekf.parameters
-        half = abs(c[Pm.OFFSET_A])
+        half = self._track_m / 2
         lateral = {"left": half, "right": -half, "middle": 0.0}
         for slot, name in enumerate(chosen[:2]):
             self._wheels[name] = Wheel(slot)
-            c[Pm.OFFSET_A + slot] = lateral[sides[name]]
+            ekf.set_wheel(slot, lateral[sides[name]])
 
     @property
     def known(self) -> bool:
@@ -179,9 +181,10 @@ class WheelPair:
     def run(self, direction: float, counted: float, ekf: TramFilter) -> None:
         """Let the wheels count as they did for a vehicle that ran in `direction`."""
         sign = direction if counted > 0.0 else 1.0
-        ekf.parameters[Pm.SIGN_A] = ekf.parameters[Pm.SIGN_B] = sign
+        for slot in (0, 1):
+            ekf.set_wheel_sign(slot, sign)
 
-    def note(self, reading: Odometry) -> None:
+    def remember(self, reading: Odometry) -> None:
         """Remember where the wheels' counters are, without a filter to tell."""
         for each in reading.wheels:
             wheel = self._wheels.get(each.wheel)
@@ -216,7 +219,7 @@ class WheelPair:
     def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
         pause_s = (stamp_ns - wheel.stamp_ns) / S
         way = self._count(wheel, pulses, stamp_ns)
-        speed: float = ekf.numbers[SPEED]
+        speed = ekf.state[SPEED]
         variance = self._pulse_variance + speed**2 * self._stamp_variance
         if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             self._begin(wheel, stamp_ns, variance, ekf)
@@ -224,7 +227,7 @@ class WheelPair:
         self._turn_sign(wheel, way, speed, ekf)
         if wheel.slipping:
             return self._slip(wheel, way, variance, stamp_ns, pause_s, ekf)
-        verdict = ekf.path(wheel.slot, way, variance)
+        (verdict,) = ekf.apply(WheelPath(wheel.slot, way, variance))
         normal = verdict.innovation / math.sqrt(verdict.variance)
         wheel.refused = not verdict.accepted
         wheel.ahead = max(0.0, wheel.ahead + normal - SLACK)
@@ -235,7 +238,7 @@ class WheelPair:
         """Count a wheel's path from here on."""
         wheel.agreed_ns, wheel.agreed_m = stamp_ns, 0.0
         wheel.ahead, wheel.behind, wheel.refused = 0.0, 0.0, False
-        ekf.tie(wheel.slot, variance)
+        ekf.begin_path(wheel.slot, variance)
 
     def _watch(self, stamp_ns: int, ekf: TramFilter) -> None:
         """Find wheels that have lost their grip, and with them those that lean the same way.
@@ -259,13 +262,11 @@ class WheelPair:
 
     def _counts(self, wheel: Wheel, pause_s: float, ekf: TramFilter) -> bool:
         """Whether what was counted in a pause says more than what the filter knows of it."""
-        slot = Ix.PATH_A + wheel.slot
-        return pause_s < LONGEST_PAUSE_S and float(ekf.P[slot, slot]) > BLIND_STD_M**2
+        return pause_s < LONGEST_PAUSE_S and path_variance(ekf, wheel) > BLIND_STD_M**2
 
     def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
-        slot = _SIGN + wheel.slot
-        before = float(ekf.parameters[slot])
+        before = ekf.wheel_sign(wheel.slot)
         if wheel.signed:
             sign = 1.0
         elif way * before * speed < 0.0 and abs(speed) > BACKWARDS_MPS:
@@ -273,8 +274,8 @@ class WheelPair:
         else:
             return
         if sign != before:
-            ekf.parameters[slot] = sign
-            ekf.tie(wheel.slot, self._m_per_pulse**2)
+            ekf.set_wheel_sign(wheel.slot, sign)
+            ekf.begin_path(wheel.slot, self._m_per_pulse**2)
 
     def _slip(
         self,
@@ -286,12 +287,11 @@ class WheelPair:
         ekf: TramFilter,
     ) -> Verdict:
         """Watch a slipping wheel, without a word to the filter."""
-        slot = Ix.PATH_A + wheel.slot
         wheel.agreed_m += way
-        y = wheel.agreed_m - ekf.counted(wheel.slot)
-        S_y = float(ekf.P[slot, slot]) + variance
+        y = wheel.agreed_m - ekf.shown_path(wheel.slot)
+        S_y = path_variance(ekf, wheel) + variance
         if stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
-            ekf.widen(Ix.SPEED, abs(abs(way) / pause_s - abs(float(ekf.memory[Ix.SPEED]))))
+            ekf.widen(Ix.SPEED, abs(abs(way) / pause_s - abs(ekf.state[SPEED])))
             ekf.widen(Ix.PITCH, WRONG_RAD)
             wheel.slipping = False
         elif y * y > AGREE_SIGMA**2 * S_y:
@@ -307,9 +307,10 @@ class WheelPair:
         self, wheel: Wheel, each: WheelReading, stamp_ns: int, ekf: TramFilter
     ) -> Verdict | None:
         wheel.signed |= each.speed_mps < -TURNING_MPS
-        speed = float(ekf.memory[Ix.SPEED])
+        speed = ekf.state[SPEED]
         self._turn_sign(wheel, each.speed_mps, speed, ekf)
-        verdict = ekf.rim(wheel.slot, each.speed_mps, self._speed_std)
+        measurement = WheelSpeed(wheel.slot, each.speed_mps, self._speed_std * self._speed_std)
+        (verdict,) = ekf.apply(measurement)
         if verdict.accepted:
             wheel.slipping = False
         elif not wheel.slipping:
@@ -330,6 +331,11 @@ class WheelPair:
     def restore(self, state: dict[str, Any]) -> None:
         self.slips = state["slips"]
         self._wheels = {name: Wheel(**fields) for name, fields in state["wheels"].items()}
+
+
+def path_variance(ekf: TramFilter, wheel: Wheel) -> float:
+    """Variance of the path that the filter has integrated for a wheel, m²."""
+    return ekf.variances[Ix.PATH_A + wheel.slot]
 
 
 def _has_speed(reading: WheelReading) -> bool:

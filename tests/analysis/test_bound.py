@@ -15,7 +15,7 @@ from tramstream.analysis.studies import bound
 from tramstream.analysis.studies.bound import STEP_S, Series
 from tramstream.errors import ConfigError
 from tramstream.geodesy import normal_gravity_mps2
-from tramstream.processors.tram.states import Ix
+from tramstream.processors.tram_model.states import Ix
 from tramstream.simulation.scenario import Scenario, Slip, Tunnel, load
 from tramstream.simulation.simulation import Simulation
 

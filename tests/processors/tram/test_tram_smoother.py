@@ -16,14 +16,22 @@ from rides import Errors, Ride, altered, judged, reference, ridden, time_s
 from tramstream.analysis.evaluate.consistency import chi_square_interval, quadratic_form
 from tramstream.config import Gnss, Imu, Vehicle
 from tramstream.estimation.localiser import DEAD_RECKONING, TRACKING, Estimate
+from tramstream.estimation.records import numbers, one
 from tramstream.lines.line import built_in_line
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram.filter import parameters
+from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
 from tramstream.processors.tram.smoother import Smoothed, smooth
-from tramstream.processors.tram.states import COLUMNS, ROWS, SIZE, Ix, Pm
-from tramstream.processors.tram.trace import EVERY_NS, Trace, TracedFilter, TracedLocaliser
+from tramstream.processors.tram.trace import EVERY_NS, Trace, Tracer
+from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
+from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
+from tramstream.processors.tram_model.lateral_force import LateralForce
+from tramstream.processors.tram_model.level_force import LevelForce
+from tramstream.processors.tram_model.records import INERTIAL, READING
+from tramstream.processors.tram_model.states import SIZE, Ix
+from tramstream.processors.tram_model.wheel_path import WheelPath
+from tramstream.processors.tram_model.wheel_speed import WheelSpeed
+from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Slip, Tunnel
 
@@ -37,6 +45,18 @@ SPREAD = np.full(SIZE, 0.01)
 SPREAD[[Ix.EAST, Ix.NORTH, Ix.UP, Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP]] = 1.0
 SPREAD[[Ix.SPEED, Ix.PIVOT]] = 0.3
 """Deviations at the start of the frozen filter, and units in which it is well conditioned."""
+
+
+class TracedLocaliser(TramLocaliser):
+    """A localiser with somebody who writes down its way."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.tracer = Tracer()
+        super().__init__(vehicle, self.tracer)
+
+    @property
+    def traces(self) -> list[Trace]:
+        return self.tracer.traces
 
 
 # The authority ------------------------------------------------------------------------------------
@@ -53,16 +73,13 @@ class Frozen:
             gnss=Gnss(device="none", lever_arm_m=(2.0, 0.3, 3.0)),
             imu=Imu(device="none", lever_arm_m=(-1.0, 0.2, 0.4)),
         )
-        c = parameters(vehicle, 9.81)
-        c[Pm.GNSS_DECAY], c[Pm.GNSS_DENSITY], c[Pm.GNSS_UP_DENSITY] = 0.05, 0.02, 0.05
-        c[Pm.STILL_ROLL_VARIANCE : Pm.STILL_FORCE_VARIANCE + 1] = 1e-4
-        c[Pm.SCALE_WALK] = 1e-6
-        self.ekf = TracedFilter(c)
+        self.ekf = TramFilter(vehicle, 9.81)
+        self.ekf.set_fix_error(0.05, 0.02, 0.05)
         root = rng.normal(size=(SIZE, SIZE)) / math.sqrt(SIZE)
         self.ekf.P = SPREAD[:, None] * (root @ root.T + 0.1 * np.eye(SIZE)) * SPREAD
         self.ekf.x = rng.normal(size=SIZE) * SPREAD
-        self.ekf.memory[Ix.SPEED] = 5.0
-        self.trace = self.ekf.trace = Trace(rides.LEVEL, c)
+        self.ekf.state[Ix.SPEED] = 5.0
+        self.trace = self.ekf.watcher = Trace(rides.LEVEL, self.ekf)
         self.shift = np.zeros(SIZE)
         self.transitions = [(np.eye(SIZE), np.zeros((SIZE, SIZE)))]
         self.states: list[tuple[Array, Array]] = []
@@ -70,18 +87,17 @@ class Frozen:
 
     def keep(self) -> None:
         """End an epoch: transitions and measurements are behind it."""
-        memory = self.ekf.memory
-        self.states.append((memory[:SIZE] - self.shift, self.ekf.P.copy()))
-        self.trace.instant(len(self.states) * EVERY_NS, TRACKING, False, memory, np.zeros(10))
+        memory, held = self.ekf.memory, numbers(one(READING))
+        self.states.append((self.ekf.x[:, 0] - self.shift, self.ekf.P.copy()))
+        self.trace.instant(len(self.states) * EVERY_NS, TRACKING, False, memory, held)
 
     def go(self, act: Callable[[], None], F: Array | None = None) -> None:
         """A transition and its epoch; without F it is the prediction's own."""
-        x, P = self.ekf.memory[:SIZE].copy(), self.ekf.P.copy()
+        x, P = self.ekf.x[:, 0].copy(), self.ekf.P.copy()
         act()
         if F is None:
-            F = np.eye(SIZE)
-            np.add.at(F, (ROWS, COLUMNS), self.ekf.memory[kernels.ENTRY_VALUES])
-        self.shift = self.ekf.memory[:SIZE] - F @ (x - self.shift)
+            F = self.ekf.F
+        self.shift = self.ekf.x[:, 0] - F @ (x - self.shift)
         self.transitions.append((F, self.ekf.P - F @ P @ F.T))
 
     def filterpy(self) -> tuple[Array, Array]:
@@ -115,27 +131,35 @@ def travelled(seed: int, count: int = 60) -> Frozen:
     fix_slots = (Ix.GNSS_EAST, Ix.GNSS_NORTH)
 
     def reading() -> Array:
-        u = np.zeros(10)
-        u[:6] = rng.normal((0.0, 0.0, 0.1, 0.0, 0.5, 9.81), 0.1)
-        u[9] = 1.0
-        return u
+        u = one(READING)
+        u["angular_rate"] = rng.normal((0.0, 0.0, 0.1), 0.1)
+        u["specific_force"] = rng.normal((0.0, 0.5, 9.81), 0.1)
+        u["accelerometer"] = 1.0
+        return numbers(u)
+
+    def readings() -> Array:
+        inertial = one(INERTIAL)
+        inertial["now"] = reading().view(READING)
+        inertial["steady_rate"] = inertial["now"]["angular_rate"]
+        return numbers(inertial)
 
     def measure() -> None:
-        kind, (east, north, up) = rng.integers(5), ekf.memory[:3].tolist()
+        kind, (east, north, up) = rng.integers(5), ekf.x[:3, 0].tolist()
         if kind == 0:
             a, b, c = rng.normal(0.0, 2.5, 3).tolist()
-            ekf.position((east + a, north + b, up + 3.0 + c), 0.3, 0.5)
+            ekf.apply(GnssPosition(east + a, north + b, 0.3**2))
+            ekf.apply(GnssHeight(up + 3.0 + c, 0.5**2))
         elif kind == 1:
-            yaw = ekf.memory[Ix.YAW]
-            ekf.velocity((5.0 * math.cos(yaw), 5.0 * math.sin(yaw) + rng.normal()), 0.3)
+            yaw, aside = ekf.state[Ix.YAW], rng.normal()
+            ekf.apply(GnssVelocity(5.0 * math.cos(yaw), 5.0 * math.sin(yaw) + aside, 0.3**2))
         elif kind == 2:
             wheel, way = int(rng.integers(2)), float(rng.normal(0.25, 0.1))
-            ekf.path(wheel, way, 1e-3)
+            ekf.apply(WheelPath(wheel, way, 1e-3))
             frozen.shift[Ix.PATH_A + wheel] -= way
         elif kind == 3:
-            ekf.rim(int(rng.integers(2)), float(rng.normal(5.0, 0.1)), 0.1)
+            ekf.apply(WheelSpeed(int(rng.integers(2)), float(rng.normal(5.0, 0.1)), 0.1**2))
         else:
-            ekf.inertial(reading(), reading())
+            ekf.apply(LateralForce(readings()))
 
     for number in range(count):
         kind = rng.integers(8)
@@ -144,7 +168,7 @@ def travelled(seed: int, count: int = 60) -> Frozen:
         elif kind == 4:
             frozen.go(lambda: ekf.rest(STEP_S), eye)
         elif kind == 5:
-            frozen.go(lambda: ekf.tie(1, 1e-4), without(Ix.PATH_B))
+            frozen.go(lambda: ekf.begin_path(1, 1e-4), without(Ix.PATH_B))
         elif kind == 6:
             frozen.go(lambda: ekf.forget(fix_slots, (0.5, 0.7)), without(*fix_slots))
         else:
@@ -153,8 +177,10 @@ def travelled(seed: int, count: int = 60) -> Frozen:
             measure()
         if number == count // 2:
             frozen.keep()
-            frozen.go(lambda: refused(ekf.stop()), without(Ix.SPEED))
-            ekf.standing(reading())
+            frozen.go(lambda: refused(ekf.zero_velocity()), without(Ix.SPEED))
+            ekf.zero_velocity()
+            ekf.apply(ZeroAngularRate(reading(), 1e-4, 1e-4, 1e-4))
+            ekf.apply(LevelForce(reading(), 1e-4))
         frozen.keep()
     return frozen
 
@@ -178,7 +204,7 @@ def test_smoother_is_filterpys_on_frozen_derivatives(seed: int) -> None:
 
 def unsmoothed(trace: Trace, k: int) -> Array:
     """The filter's state at instant `k`."""
-    state: Array = np.concatenate(trace.rows)[k, :SIZE]
+    state: Array = np.concatenate(trace.instants)["x"][k]
     return state
 
 
@@ -267,18 +293,18 @@ def test_last_instant_is_the_filters_and_the_first_is_the_departure() -> None:
 def test_smoothing_twice_gives_the_same() -> None:
     localiser, _ = went(ride_of(1, 120.0))
     first, second = only(localiser), only(localiser)
-    np.testing.assert_array_equal(first.rows, second.rows)
+    np.testing.assert_array_equal(first.instants, second.instants)
 
 
 def test_no_covariance_grows_and_none_is_negative() -> None:
     localiser, _ = went(eventful())
     (trace,) = localiser.traces
     smoothed = smooth(trace)
-    rows = np.concatenate(trace.rows)[: len(trace)]
+    triangles = np.concatenate(trace.instants)["triangle"]
     lower = np.tril_indices(SIZE)
     for k in range(0, len(trace), 7):
         P = np.zeros((SIZE, SIZE))
-        P[lower] = rows[k, SIZE : SIZE + len(lower[0])]
+        P[lower] = triangles[k]
         P += np.tril(P, -1).T
         std = np.sqrt(np.maximum(np.diag(P), 1e-30))
         after = smoothed.covariance(k) / std[:, None] / std
@@ -299,7 +325,8 @@ def test_states_without_variance_stay() -> None:
     for slot in (Ix.PIVOT, Ix.WHEEL_DELAY):
         assert not smoothed.x[:, slot].any()
         assert not smoothed.covariance(50)[slot].any()
-    assert np.isfinite(smoothed.rows).all()
+    assert np.isfinite(smoothed.x).all()
+    assert np.isfinite(smoothed.instants["triangle"]).all()
 
 
 def test_tunnel_is_bridged_from_both_ends() -> None:
@@ -337,7 +364,7 @@ def test_pause_parts_the_ride() -> None:
     assert time_s(int(second.stamp_ns[0])) > again_s
     # The first part is that of a ride that ended there.
     alone, _ = went(ride, ride.between(0.0, MOVING_S))
-    np.testing.assert_array_equal(first.rows, only(alone).rows)
+    np.testing.assert_array_equal(first.instants, only(alone).instants)
 
 
 def test_vehicle_that_was_parked_goes_on_in_a_trace_of_its_own() -> None:
@@ -377,11 +404,12 @@ def test_what_is_no_number_is_not_smoothed() -> None:
     localiser, _ = went(ride, ride.between(0.0, 80.0))
     navigation = localiser._navigation
     assert navigation is not None
-    navigation.ekf.memory[Ix.EAST] = math.nan
+    navigation.ekf.state[Ix.EAST] = math.nan
     for frame in ride.between(80.0, 81.0):
         localiser.take(frame)
     smoothed = only(localiser)
-    assert np.isfinite(smoothed.rows).all()
+    assert np.isfinite(smoothed.x).all()
+    assert np.isfinite(smoothed.instants["triangle"]).all()
     assert time_s(int(smoothed.stamp_ns[-1])) <= 80.0
 
 
@@ -398,7 +426,8 @@ def test_memory_that_is_put_back_begins_anew() -> None:
     smoothed = only(traced)
     assert 60.0 < time_s(int(smoothed.stamp_ns[0])) <= 60.2
     np.testing.assert_array_equal(
-        traced.snapshot()["navigation"]["memory"], plain.snapshot()["navigation"]["memory"]
+        traced.snapshot()["navigation"]["filter"]["P"],
+        plain.snapshot()["navigation"]["filter"]["P"],
     )
 
 

@@ -21,7 +21,7 @@ from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate
 from tramstream.lines.line import Line, parse_plan
 from tramstream.live import snapshots
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
-from tramstream.processors.tram.states import Ix
+from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 
@@ -246,7 +246,7 @@ def test_memory_with_a_wrong_heading_is_overcome(turned_rad: float) -> None:
     localiser = TramLocaliser(ride.simulation.vehicle)
     run(localiser, ride.between(-1.0, 40.0))
     state = localiser.snapshot()
-    state["navigation"]["memory"][Ix.YAW] += turned_rad
+    state["navigation"]["filter"]["x"][Ix.YAW] += turned_rad
     localiser.restore(state)
     errors = judged(ride.simulation, localiser, run(localiser, ride.between(40.0, math.inf)))
     assert errors.yaw_rad[0] == pytest.approx(turned_rad, abs=0.1) or turned_rad == math.pi

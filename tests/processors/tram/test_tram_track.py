@@ -26,9 +26,9 @@ from tramstream.lines.line import Line
 from tramstream.live import snapshots
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LOG, LocalisationFilter
-from tramstream.processors.tram import measurements
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram.states import SIZE, Ix
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_model.states import SIZE, Ix
+from tramstream.processors.tram_model.track import TrackDistance, TrackHeading
 from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
@@ -79,12 +79,12 @@ def near_arc(rng: np.random.Generator, bend: float) -> Array:
     return x
 
 
-def tracked(x: Array, P: Array, on_track: OnTrack) -> tuple[Array, Array]:
-    """Memory after the kernel, and what it reports."""
-    m, out = np.zeros(kernels.MEMORY), np.zeros((3, 2))
-    m[kernels.STATE], m[kernels.COVARIANCE] = x, P.ravel()
-    measurements.track(m, np.array(on_track), held.INFINITE, out)
-    return m, out
+def tracked(x: Array, P: Array, on_track: OnTrack) -> Navigation:
+    """A navigation that was put onto the track."""
+    navigation = Navigation(held.vehicle(), LEVEL)
+    navigation.ekf.x, navigation.ekf.P = x, P
+    navigation.on_track(on_track)
+    return navigation
 
 
 @pytest.mark.parametrize("grade", [0.02, math.nan])
@@ -114,18 +114,38 @@ def test_track_is_filterpys_dense_update(bend: float, grade: float) -> None:
             lambda _, rows=rows: np.zeros((rows, 1)),
             np.diag(variances[:rows]),
         )
-        m, out = tracked(x, P, on_track)
+        navigation = tracked(x, P, on_track)
         scale = np.sqrt(np.diag(P))
-        np.testing.assert_allclose(m[kernels.STATE] / scale, dense.x[:, 0] / scale, atol=1e-6)
-        found = m[kernels.COVARIANCE].reshape(SIZE, SIZE)
+        found = navigation.ekf.P
+        np.testing.assert_allclose(navigation.ekf.x[:, 0] / scale, dense.x[:, 0] / scale, atol=1e-6)
         np.testing.assert_allclose(
             found / np.outer(scale, scale), dense.P / np.outer(scale, scale), atol=1e-6
         )
         np.testing.assert_array_equal(found, found.T)
-        distance = sum(y * y / S for y, S in out[:rows].tolist())
+        assert len(navigation.given) == rows
+        assert all(verdict.accepted for verdict in navigation.given)
+        distance = sum(each.innovation**2 / each.variance for each in navigation.given)
         expected = float(z @ np.linalg.solve(dense.S, z))
         assert distance == pytest.approx(expected, rel=1e-6)
-        assert (out[rows:] == 0.0).all()
+
+
+def rows_of(x: Array, on_track: OnTrack) -> list[Array]:
+    """Row of H of distance, heading and grade."""
+    rows: list[Array] = []
+
+    class Rows:
+        def predicted(self, memory: Array) -> None: ...
+
+        def updated(self, memory: Array) -> None:
+            rows.append(navigation.ekf.H[0])
+
+        def made_anew(self, state: int) -> None: ...
+
+    navigation = Navigation(held.vehicle(), LEVEL)
+    navigation.ekf.x, navigation.ekf.P = x, np.zeros((SIZE, SIZE))
+    navigation.ekf.watcher = Rows()
+    navigation.on_track(on_track)
+    return rows
 
 
 @pytest.mark.parametrize("bend", [1.0, -1.0])
@@ -133,7 +153,7 @@ def test_rows_of_the_track_are_the_derivatives_of_its_geometry(bend: float) -> N
     rng = np.random.default_rng(2)
     for _ in range(10):
         x = near_arc(rng, bend)
-        m, _ = tracked(x, np.zeros((SIZE, SIZE)), told(x, bend, (1.0, 1.0, 1.0), 0.01))
+        rows = rows_of(x, told(x, bend, (1.0, 1.0, 1.0), 0.01))
         for column in Ix:
             seen = []
             for sign in (1.0, -1.0):
@@ -143,38 +163,41 @@ def test_rows_of_the_track_are_the_derivatives_of_its_geometry(bend: float) -> N
                 seen.append((across, off, moved[Ix.PITCH]))
             slopes = np.subtract(*seen) / (2.0 * held.STEP)
             for k, slope in enumerate(slopes.tolist()):
-                assert held.seen_row(m, k)[column] == pytest.approx(slope, abs=1e-6), column.name
+                assert rows[k][column] == pytest.approx(slope, abs=1e-6), column.name
 
 
 def test_state_is_put_onto_the_arc_when_nothing_else_is_known() -> None:
     """A sharp map and a vague state: a few updates, as each is linear, end on the circle."""
     rng = np.random.default_rng(3)
     x = near_arc(rng, 1.0)
-    m = np.zeros(kernels.MEMORY)
-    m[kernels.STATE] = x
     P = np.zeros((SIZE, SIZE))
     P[Ix.EAST, Ix.EAST] = P[Ix.NORTH, Ix.NORTH] = 25.0
     P[Ix.YAW, Ix.YAW] = 1e-10
+    after = x
     for _ in range(4):
-        m[kernels.COVARIANCE] = P.ravel()
-        on_track = told(m[kernels.STATE], 1.0, (1e-8, 1e-8, 1.0))
-        measurements.track(m, np.array(on_track), held.INFINITE, np.zeros((3, 2)))
-    across, off, *_ = beside_arc(*m[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist())
+        ekf = held.tram_filter(after, P)
+        on_track = told(after, 1.0, (1e-8, 1e-8, 1.0))
+        n = on_track.normal_east, on_track.normal_north
+        gate = held.INFINITE
+        place = after[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist()
+        ekf.apply(TrackDistance(*n, on_track.across_m, on_track.across_variance, gate))
+        heading = on_track.yaw_off_rad, on_track.bend_per_m, *place, on_track.yaw_variance
+        ekf.apply(TrackHeading(*n, *heading, gate))
+        after = ekf.x[:, 0].copy()
+    across, off, *_ = beside_arc(*after[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist())
     assert across == pytest.approx(0.0, abs=1e-3)
     assert off == pytest.approx(0.0, abs=1e-3), "its place along is what the heading says"
-    assert m[Ix.YAW] == pytest.approx(x[Ix.YAW], abs=1e-4)
+    assert after[Ix.YAW] == pytest.approx(x[Ix.YAW], abs=1e-4)
 
 
 def test_track_beyond_the_gate_changes_nothing() -> None:
     rng = np.random.default_rng(4)
     x, P = near_arc(rng, 1.0), np.eye(SIZE) * 1e-4
     on_track = told(x, 1.0, (1e-4, 1e-4, 1.0))._replace(across_m=9.0, yaw_off_rad=1.0)
-    m, out = np.zeros(kernels.MEMORY), np.zeros((3, 2))
-    m[kernels.STATE], m[kernels.COVARIANCE] = x, P.ravel()
-    measurements.track(m, np.array(on_track), 25.0, out)
-    np.testing.assert_array_equal(m[kernels.STATE], x)
-    np.testing.assert_array_equal(m[kernels.COVARIANCE], P.ravel())
-    assert (out[:2, 1] < 0.0).all()
+    navigation = tracked(x, P, on_track)
+    np.testing.assert_array_equal(navigation.ekf.x[:, 0], x)
+    np.testing.assert_array_equal(navigation.ekf.P, P)
+    assert not any(verdict.accepted for verdict in navigation.given)
 
 
 # Rides --------------------------------------------------------------------------------------------

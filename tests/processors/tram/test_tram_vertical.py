@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
 from tramstream.config import Ekf, Gnss, Imu, Vehicle
 from tramstream.estimation.kalman import Array
+from tramstream.estimation.records import numbers, one
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram import measurements
-from tramstream.processors.tram import motion as kernels
-from tramstream.processors.tram.filter import READING_S, parameters
+from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.navigation import Navigation
-from tramstream.processors.tram.states import COLUMNS, ENTRIES, ROWS, SIZE, Ix, Pm
+from tramstream.processors.tram_model.lateral_force import LateralForce
+from tramstream.processors.tram_model.records import INERTIAL, READING, READING_S
+from tramstream.processors.tram_model.states import SIZE, Ix
+from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
 GRAVITY = 9.81
@@ -34,40 +37,54 @@ def car(aliasing: float = 0.0) -> Vehicle:
     )
 
 
-def level_reading() -> Array:
-    u = np.zeros(10)
-    u[5], u[9] = GRAVITY, 1.0
-    return u
+def level_reading(pitch_rate: float = 0.0, force: float = GRAVITY) -> Array:
+    """Numbers of one `Reading`."""
+    u = one(READING)
+    u["angular_rate"] = 0.0, pitch_rate, 0.0
+    u["specific_force"] = 0.0, 0.0, force
+    u["accelerometer"] = 1.0
+    return numbers(u)
 
 
-def driving() -> Array:
-    """Memory of a filter that knows itself to run at `SPEED_MPS` on the level."""
-    m = np.zeros(kernels.MEMORY)
-    m[kernels.STATE][Ix.SPEED] = SPEED_MPS
-    P = m[kernels.COVARIANCE].reshape(SIZE, SIZE)
-    P[Ix.PITCH, Ix.PITCH] = math.radians(0.1) ** 2
-    P[Ix.SPEED, Ix.SPEED] = 0.02**2
-    return m
+def driving(vehicle: Vehicle) -> TramFilter:
+    """A filter that knows itself to run at `SPEED_MPS` on the level."""
+    ekf = TramFilter(vehicle, GRAVITY)
+    ekf.P = 0.0
+    ekf.reset(Ix.SPEED, SPEED_MPS, 0.02)
+    ekf.forget((Ix.PITCH,), (math.radians(0.1),))
+    return ekf
+
+
+def read(ekf: TramFilter, u: Array) -> None:
+    """Go through one reading; where the vertical force is used, with its constraint."""
+    ekf.predict(u, READING_S)
+    inertial = one(INERTIAL)
+    inertial["now"] = u.view(READING)
+    ekf.apply(LateralForce(numbers(inertial), math.inf))
+    if ekf.parameters["vertical_density"][0] > 0.0:
+        ekf.apply(VerticalConstraint())
+
+
+def predicted(x: Array, u: Array) -> TramFilter:
+    ekf = TramFilter(car(), GRAVITY)
+    ekf.x, ekf.P = x, 1.0
+    ekf.predict(u, DT_S)
+    return ekf
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_heaving_is_differentiated_where_nothing_shakes_in_the_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    x, u, c = rng.normal(0.0, 0.01, SIZE), level_reading(), parameters(car(), GRAVITY)
+    x, u = rng.normal(0.0, 0.01, SIZE), level_reading()
     x[Ix.SPEED] = 8.0
     x[[Ix.PIVOT, Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = 0.0
     u[:3] = rng.normal(0.0, 0.2, 3)
-    values = np.zeros(len(ENTRIES))
-    kernels.transition(x, c, u, DT_S, values)
-    F = np.eye(SIZE)
-    np.add.at(F, (ROWS, COLUMNS), values)
+    F = predicted(x, u).F
     for column in (Ix.ROLL, Ix.PITCH, Ix.GYRO_Y, Ix.ACCEL_Z, Ix.HEAVE):
         above, below = x.copy(), x.copy()
         above[column] += STEP
         below[column] -= STEP
-        kernels.move(above, c, u, DT_S)
-        kernels.move(below, c, u, DT_S)
-        slope = (above - below) / (2 * STEP)
+        slope = (predicted(above, u).x - predicted(below, u).x)[:, 0] / (2 * STEP)
         for row in (Ix.UP, Ix.HEAVE):
             expected = float(slope[row] - np.eye(SIZE)[row, column]) / DT_S
             found = float(F[row, column] - np.eye(SIZE)[row, column]) / DT_S
@@ -76,23 +93,21 @@ def test_heaving_is_differentiated_where_nothing_shakes_in_the_derivative(seed: 
 
 
 def test_noise_of_a_heaving_vehicle_is_positive() -> None:
-    m = driving()
-    Q = np.zeros((SIZE, SIZE))
-    kernels.add_noise(m[kernels.STATE], Q, parameters(car(), GRAVITY), READING_S)
+    ekf = driving(car())
+    ekf.P = 0.0
+    ekf.predict(level_reading(), READING_S)
+    Q = ekf.P
     np.testing.assert_array_equal(Q, Q.T)
     assert np.linalg.eigvalsh(Q).min() > -1e-18
     assert Q[Ix.HEAVE, Ix.PITCH] > 0.0
 
 
 def test_without_it_the_vertical_force_changes_nothing() -> None:
-    c = parameters(Vehicle(vehicle="tram", imu=Imu(device="none")), GRAVITY)
     after = []
     for force in (GRAVITY, GRAVITY + 3.0):
-        m, u = driving(), level_reading()
-        u[5] = force
-        kernels.predict(m, c, u, READING_S)
-        measurements.inertial(m, c, u, np.zeros(3), math.inf)
-        after.append(m[: SIZE + SIZE * SIZE])
+        ekf = driving(Vehicle(vehicle="tram", imu=Imu(device="none")))
+        read(ekf, level_reading(force=force))
+        after.append(np.column_stack([ekf.x, ekf.P]))
     np.testing.assert_array_equal(*after)
 
 
@@ -101,17 +116,15 @@ def test_step_of_the_gyroscope_that_no_force_confirms_is_taken_back() -> None:
     jolt = math.radians(1.0)
     left = {}
     for used in (True, False):
-        c = parameters(car(), GRAVITY)
-        c[Pm.PITCH_DENSITY] = 0.03**2
+        vehicle = car()
         if not used:
-            c[Pm.VERTICAL_DENSITY] = 0.0
-        m = driving()
+            unused = msgspec.structs.replace(vehicle.ekf, vertical_std_mps2_rthz=0.0)
+            vehicle = msgspec.structs.replace(vehicle, ekf=unused)
+        ekf = driving(vehicle)
+        ekf.drive_by(float(ekf.situation["accel_density"][0]), (1e-4**2, 0.03**2, 1e-4**2))
         for step in range(100):
-            u = level_reading()
-            u[1] = jolt / 0.1 if step < 10 else 0.0
-            kernels.predict(m, c, u, READING_S)
-            measurements.inertial(m, c, u, np.zeros(3), math.inf)
-        left[used] = abs(float(m[kernels.STATE][Ix.PITCH]))
+            read(ekf, level_reading(pitch_rate=jolt / 0.1 if step < 10 else 0.0))
+        left[used] = abs(ekf.state[Ix.PITCH])
     assert left[False] == pytest.approx(jolt, rel=0.1)
     assert left[True] < 0.3 * jolt
 
@@ -124,8 +137,8 @@ def test_shaking_widens_what_an_angle_may_have_done_on_its_axis_alone() -> None:
         mean = ImuMean(stamp_ns=stamp_ns, accel_z_mps2=GRAVITY)
         mean.gyro_y_radps = amplitude * (-1) ** k
         navigation.read(SyncFrame(stamp_ns=stamp_ns, imu=mean))
-    c = navigation.ekf.parameters
+    roll, pitch, yaw = navigation.ekf.situation["rate_density"][0]
     variance = 0.5 * (2.0 * amplitude) ** 2  # of white readings that differ as much
     expected = 1e-4**2 + aliasing**2 * variance * READING_S
-    assert c[Pm.PITCH_DENSITY] == pytest.approx(expected, rel=0.02)
-    assert c[Pm.ROLL_DENSITY] == c[Pm.YAW_DENSITY] == pytest.approx(1e-4**2)
+    assert pitch == pytest.approx(expected, rel=0.02)
+    assert roll == yaw == pytest.approx(1e-4**2)

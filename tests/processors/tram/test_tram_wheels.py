@@ -10,9 +10,10 @@ from rides import Errors, Ride, altered, judged, reference, ridden, run
 
 from tramstream.config import Vehicle, Wheels
 from tramstream.lines.line import built_in_line
-from tramstream.processors.tram.filter import TramFilter, parameters
+from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.localiser import TramLocaliser
-from tramstream.processors.tram.states import Ix, Pm
+from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_model.wheel_path import WheelPath
 from tramstream.simulation.scenario import Slide, Slip
 
 SEEDS = (1, 3)
@@ -75,13 +76,14 @@ def test_wheels_with_a_late_counter_are_believed_after_a_slide_at_speed(seed: in
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_path_that_is_counted_anew_holds_what_the_counter_has_not_shown(sign: float) -> None:
-    ekf = TramFilter(parameters(Vehicle(vehicle="none", wheels=Wheels()), 9.81))
+    ekf = TramFilter(Vehicle(vehicle="none", wheels=Wheels()), 9.81)
     ekf.P = np.diag(np.full(len(Ix), 1e-4))
-    ekf.parameters[Pm.SIGN_B] = sign
-    ekf.memory[Ix.SPEED], ekf.memory[Ix.WHEEL_DELAY], ekf.memory[Ix.SCALE_B] = 10.0, 0.01, 0.02
-    ekf.tie(1, 1e-6)
-    assert ekf.memory[Ix.PATH_B] == pytest.approx(sign * 0.102)
-    assert ekf.counted(1) == pytest.approx(0.0, abs=1e-12)
+    ekf.set_wheel_sign(1, sign)
+    x = ekf.state
+    x[Ix.SPEED], x[Ix.WHEEL_DELAY], x[Ix.SCALE_B] = 10.0, 0.01, 0.02
+    ekf.begin_path(1, 1e-6)
+    assert ekf.state[Ix.PATH_B] == pytest.approx(sign * 0.102)
+    assert ekf.shown_path(1) == pytest.approx(0.0, abs=1e-12)
     assert ekf.P[Ix.PATH_B, Ix.PATH_B] == pytest.approx(1e-6 + (10.0**2 + 0.01**2) * 1e-4)
-    verdict = ekf.path(1, 0.0, 1e-6)
+    (verdict,) = ekf.apply(WheelPath(1, 0.0, 1e-6))
     assert verdict.innovation == pytest.approx(0.0, abs=1e-12)

@@ -1,4 +1,4 @@
-"""States and constants of the model `tram`, each with its one name.
+"""States of the model `tram`, each with its one name, and which of them move which.
 
 Angles are those of docs/theory.md, section 1.2 and their errors add: x_true = x + δx, the attitude
 error too, for a tram never stands on its nose. All axes are the vehicle's (frame v) unless said
@@ -77,48 +77,6 @@ UNITS = {
 """The slowly changing states, and their units."""
 
 
-class Pm(IntEnum):
-    """Slots of the model's parameters; SI."""
-
-    GRAVITY = 0
-    CURVATURE = 1  # of the Earth, 1/m
-    IMU_X = 2  # the case from the vehicle's origin
-    IMU_Y = 3
-    IMU_Z = 4
-    ANTENNA_X = 5
-    ANTENNA_Y = 6
-    ANTENNA_Z = 7
-    OFFSET_A = 8  # wheel A to the left of the vehicle's axis
-    OFFSET_B = 9
-    SIGN_A = 10  # −1 when the wheel counts up while the vehicle runs backwards
-    SIGN_B = 11
-    ACCEL_DENSITY = 12  # N² of the accelerometer along x, (m/s²)²/Hz
-    ROLL_DENSITY = 13  # N² of the gyroscopes, (rad/s)²/Hz
-    PITCH_DENSITY = 14
-    YAW_DENSITY = 15
-    GYRO_WALK = 16  # K² of their biases
-    ACCEL_WALK = 17
-    SLIP_DENSITY = 18  # creep of a wheel: variance of its path a metre, m
-    SCALE_WALK = 19  # variance of a wheel's scale a metre, 1/m
-    GNSS_DECAY = 20  # 1/τ of the fixes' error; 0 while standing
-    GNSS_DENSITY = 21  # driving noise of that error, horizontal, m²/s
-    GNSS_UP_DENSITY = 22
-    LATERAL_VARIANCE = 23  # of a lateral specific force, (m/s²)²
-    STANDING_VARIANCE = 24  # of the speed of a vehicle that stands, (m/s)²
-    STILL_ROLL_VARIANCE = 25  # of a rate reading of a vehicle that stands, (rad/s)²
-    STILL_PITCH_VARIANCE = 26
-    STILL_YAW_VARIANCE = 27
-    READING_VARIANCE = 29  # of one rate reading, (rad/s)²
-    SIDE_DENSITY = 30  # of the pivot's slip to the side, m²/s
-    HEAVE_DENSITY = 31  # of its heaving, m²/s
-    CLOCK_SHARE = 32  # part of the fixes' delay by which the inertial stamps are too early
-    HEAVE_VARIANCE = 34  # of w = 0 at one reading, (m/s)²
-    VERTICAL_DENSITY = 33  # noise of the vertical force, (m/s²)²/Hz; 0: it is not used
-    STILL_FORCE_VARIANCE = 28  # of a specific force of a vehicle that stands, (m/s²)²
-
-
-PARAMETERS = len(Pm)
-
 _ANGLES = (Ix.ROLL, Ix.PITCH, Ix.YAW)
 _PATHS = ((Ix.PATH_A, Ix.SCALE_A), (Ix.PATH_B, Ix.SCALE_B))
 ENTRIES: tuple[tuple[Ix, Ix], ...] = (
@@ -174,7 +132,10 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     (Ix.HEAVE, Ix.GYRO_Y),
     (Ix.HEAVE, Ix.ACCEL_Z),
 )
-"""Where A of the transition F = I + A has entries, in the order in which `predict` fills them."""
+"""Where A of the transition F = I + A has entries; those of HEAVE come last."""
 
 ROWS = np.array([int(row) for row, _ in ENTRIES])
 COLUMNS = np.array([int(column) for _, column in ENTRIES])
+ENTRY_COUNT = len(ENTRIES)
+WITHOUT_HEAVE = sum(Ix.HEAVE not in (row, column) for row, column in ENTRIES)
+"""Entries of A that are not always 0 where the vertical force is not used."""

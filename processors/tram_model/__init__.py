@@ -1,0 +1,1 @@
+"""The model `tram`, compiled: states, motion, one file for each thing that is measured."""

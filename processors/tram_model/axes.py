@@ -1,0 +1,176 @@
+"""What goes into the model `tram` and what comes out, compiled: axes of the case, the origin.
+
+Inside, positions are the pivot's and inertial readings lie in the vehicle's axes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tramstream.estimation import localiser
+from tramstream.estimation.kalman import Array, compiled
+from tramstream.estimation.localiser import ACCELERATION, YAW_RATE
+from tramstream.processors.tram_model.records import INERTIAL, MEMORY, PARAMETERS, Inertial, Memory
+from tramstream.processors.tram_model.states import SIZE, Ix
+from tramstream.processors.tram_model.update import columns_of
+from tramstream.proto.sync_pb2 import ImuMean
+
+FASTEST_RADPS = 4.0
+"""No vehicle turns faster; a reading beyond is none."""
+HARDEST_MPS2 = 60.0
+"""No vehicle is pushed harder; a reading beyond is none."""
+SMOOTHING_S = 0.1
+"""Time constant of the angular rates whose slope is the angular acceleration; chosen by hand."""
+STEADY_S = 0.5
+"""Time constant of the rates that a row of H is made of; chosen by hand."""
+SHAKING_S = 0.3
+"""Time constant of what neighbouring rates differ by: a pothole is over after so long."""
+_OF_MOTION = localiser.COVARIANCE
+_MOVED = columns_of(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
+
+
+def scalars_of(mean: ImuMean) -> tuple[float, float, float, float, float, float]:
+    """Give the numbers of a mean in the order in which `take_reading` wants them."""
+    return (
+        mean.gyro_x_radps,
+        mean.gyro_y_radps,
+        mean.gyro_z_radps,
+        mean.accel_x_mps2,
+        mean.accel_y_mps2,
+        mean.accel_z_mps2,
+    )
+
+
+@compiled
+def take_reading(
+    inertial: Array,
+    C_vb: Array,
+    gx: float,
+    gy: float,
+    gz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    dt: float,
+) -> bool:
+    """Turn a reading of the case into the vehicle's axes, and remember the one before.
+
+    One that cannot be changes nothing: then False.
+
+    Parameters
+    ----------
+    inertial : record
+        One `Inertial`.
+    C_vb : ndarray, shape (3, 3)
+    gx, gy, gz, ax, ay, az : float
+        Angular rate, rad/s, and specific force, m/s², of the case.
+    dt : float
+        Between the two readings, s; 0 if there is none before.
+    """
+    # Comparisons with what is no number are false.
+    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
+    if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
+        return False
+    i = inertial.view(INERTIAL)[0]
+    i.before = i.now
+    now = i.now
+    for k in range(3):
+        now.angular_rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
+        now.specific_force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
+        now.angular_acceleration[k] = 0.0
+    now.accelerometer = 1.0
+    if dt <= 0.0:
+        i.before = i.now
+        for k in range(3):
+            i.smoothed_rate[k] = i.steady_rate[k] = now.angular_rate[k]
+            i.shaking_variance[k] = 0.0
+    _smooth(i, dt)
+    return True
+
+
+@compiled
+def _smooth(i: Inertial, dt: float) -> None:
+    """Find what acts between the two readings, and what is smoothed over all."""
+    before, now, between = i.before, i.now, i.between
+    for k in range(3):
+        between.angular_rate[k] = 0.5 * (before.angular_rate[k] + now.angular_rate[k])
+        between.specific_force[k] = 0.5 * (before.specific_force[k] + now.specific_force[k])
+    for k in range(3):
+        # The difference of two readings would be mostly noise, ten times a lever's worth.
+        rising = (between.angular_rate[k] - i.smoothed_rate[k]) / SMOOTHING_S
+        i.smoothed_rate[k] += dt * rising
+        now.angular_acceleration[k] = between.angular_acceleration[k] = rising
+        apart = now.angular_rate[k] - before.angular_rate[k]
+        i.steady_rate[k] += min(1.0, dt / STEADY_S) * (before.angular_rate[k] - i.steady_rate[k])
+        shaking = 0.5 * apart * apart - i.shaking_variance[k]
+        i.shaking_variance[k] += min(1.0, dt / SHAKING_S) * shaking
+    between.accelerometer = 1.0
+
+
+@compiled
+def origin(f: Memory, share: float, motion: Array, covariance: Array) -> None:
+    """Give motion and covariance of the vehicle's origin at the true time of the stamp.
+
+    The filter's own position is the pivot's, at the time that the inertial stamps mean: `share` of
+    the fixes' delay is theirs.
+
+    Parameters
+    ----------
+    motion : ndarray, shape (7,)
+        Gets the states EAST to YAW.
+    covariance : ndarray, shape (7, 7)
+    """
+    x, P = f.x, f.P
+    for i in range(7):
+        motion[i] = x[i]
+        for j in range(7):
+            covariance[i, j] = P[i, j]
+    pivot, early = x[Ix.PIVOT], share * x[Ix.GNSS_DELAY]
+    if pivot == 0.0 and share == 0.0:
+        return
+    cos, sin = math.cos(x[Ix.YAW]), math.sin(x[Ix.YAW])
+    v = x[Ix.SPEED]
+    ahead = pivot - early * v
+    motion[Ix.EAST] += ahead * cos
+    motion[Ix.NORTH] += ahead * sin
+    # Rows of T beside the unit: how east and north of the origin follow the states.
+    T = np.zeros((2, SIZE))
+    T[Ix.EAST, Ix.SPEED], T[Ix.EAST, Ix.YAW] = -early * cos, -ahead * sin
+    T[Ix.EAST, Ix.GNSS_DELAY], T[Ix.EAST, Ix.PIVOT] = -share * v * cos, cos
+    T[Ix.NORTH, Ix.SPEED], T[Ix.NORTH, Ix.YAW] = -early * sin, ahead * cos
+    T[Ix.NORTH, Ix.GNSS_DELAY], T[Ix.NORTH, Ix.PIVOT] = -share * v * sin, sin
+    for a in range(2):
+        for j in range(7):
+            moved = 0.0
+            for k in _MOVED:
+                moved += T[a, k] * P[k, j]
+            covariance[a, j] += moved
+            if j > 1:
+                covariance[j, a] += moved
+    for a in range(2):
+        for b in range(2):
+            moved = 0.0
+            for k in _MOVED:
+                moved += P[a, k] * T[b, k]
+                for j in _MOVED:
+                    moved += T[a, k] * P[k, j] * T[b, j]
+            covariance[a, b] += moved
+
+
+@compiled
+def fill_estimate(f: Memory, share: float, values: Array) -> None:
+    """Fill the values of an estimate (`estimation.localiser`) with the motion of the origin."""
+    origin(f, share, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
+    values[ACCELERATION], values[YAW_RATE] = f.acceleration, f.yaw_rate
+
+
+@compiled
+def estimate(memory: Array, parameters: Array, facing: bool, values: Array) -> None:
+    """Fill the values of an estimate out of the filter's memory.
+
+    While the heading is not known (`facing`), the stamp's true time says nothing of the place.
+    """
+    share = parameters.view(PARAMETERS)[0].clock_share if facing else 0.0
+    fill_estimate(memory.view(MEMORY)[0], share, values)
