@@ -153,7 +153,7 @@ class TramFilter:
     @property
     def refused(self) -> bool:
         """Whether the innovation gate refused the last measurement."""
-        return self._S[0] < 0.0
+        return bool(self._S[0] < 0.0)
 
     @property
     def log_likelihood(self) -> float:

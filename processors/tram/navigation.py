@@ -31,6 +31,7 @@ from tramstream.processors.tram.wheels import WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
+from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.records import INERTIAL, Z
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
@@ -280,16 +281,16 @@ class Navigation:
         return self.wheels.take(measurement, self.ekf)
 
     # Changes of the situation --------------------------------------------------------------------
-    def on_track(self, on_track: OnTrack) -> None:
+    def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
         """Take that the vehicle is on a track, of which the state as it is is off."""
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        self.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance))
+        self.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
-        self.given += ekf.apply(TrackHeading(*n, *heading))
+        self.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
-            self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance))
+            self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
 
     def know_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; see `TramFilter.know_heading`."""

@@ -335,7 +335,8 @@ class WheelPair:
 
 def path_variance(ekf: TramFilter, wheel: Wheel) -> float:
     """Variance of the path that the filter has integrated for a wheel, m²."""
-    return ekf.variances[Ix.PATH_A + wheel.slot]
+    variance: float = ekf.variances[Ix.PATH_A + wheel.slot]
+    return variance
 
 
 def _has_speed(reading: WheelReading) -> bool:

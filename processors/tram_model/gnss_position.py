@@ -98,8 +98,13 @@ class GnssPosition(NamedTuple):
     knee: float = PAIR_KNEE
     """Squared distance beyond which the fix is weighted down (Huber)."""
 
-    names = ("gnss_east", "gnss_north")
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("gnss_east", "gnss_north")
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, parameters, situation, *self)
@@ -148,8 +153,13 @@ class GnssHeight(NamedTuple):
     """Of the white part."""
     gate: float = PAIR_GATE
 
-    names = ("gnss_up",)
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("gnss_up",)
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take_height(memory, parameters, situation, *self)

@@ -93,8 +93,13 @@ class GnssVelocity(NamedTuple):
     gate: float = PAIR_GATE
     knee: float = PAIR_KNEE
 
-    names = ("gnss_velocity_east", "gnss_velocity_north")
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("gnss_velocity_east", "gnss_velocity_north")
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, parameters, situation, *self)

@@ -100,8 +100,13 @@ class LateralForce(NamedTuple):
     """Numbers of one `Inertial`."""
     gate: float = SCALAR_GATE
 
-    names = ("lateral_force",)
-    verdicts = REFUSED
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("lateral_force",)
+
+    @property
+    def verdicts(self) -> int:
+        return REFUSED
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, parameters, *self)

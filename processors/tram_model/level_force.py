@@ -79,8 +79,13 @@ class LevelForce(NamedTuple):
     gate: float = SCALAR_GATE
     """Braking with locked wheels that was taken for standing is no slope."""
 
-    names = ("level_force",)
-    verdicts = NONE
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("level_force",)
+
+    @property
+    def verdicts(self) -> int:
+        return NONE
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, parameters, *self)

@@ -43,8 +43,13 @@ class TrackDistance(NamedTuple):
     variance_m2: float
     gate: float = SCALAR_GATE
 
-    names = ("track_across",)
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("track_across",)
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take_distance(memory, *self)
@@ -88,8 +93,13 @@ class TrackHeading(NamedTuple):
     variance_rad2: float
     gate: float = SCALAR_GATE
 
-    names = ("track_heading",)
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("track_heading",)
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take_heading(memory, *self)
@@ -111,8 +121,13 @@ class TrackGrade(NamedTuple):
     variance_rad2: float
     gate: float = SCALAR_GATE
 
-    names = ("track_grade",)
-    verdicts = EVERY
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("track_grade",)
+
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take_grade(memory, *self)

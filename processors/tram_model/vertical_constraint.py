@@ -38,8 +38,13 @@ def take(memory: Array, parameters: Array) -> None:
 class VerticalConstraint(NamedTuple):
     """No speed along z in the mean; its variance is a parameter of the model."""
 
-    names = ("vertical_constraint",)
-    verdicts = NONE
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("vertical_constraint",)
+
+    @property
+    def verdicts(self) -> int:
+        return NONE
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, parameters)

@@ -60,7 +60,9 @@ class WheelPath(NamedTuple):
     variance_m2: float
     gate: float = SCALAR_GATE
 
-    verdicts = EVERY
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -70,7 +70,9 @@ class WheelSpeed(NamedTuple):
     """(m/s)²."""
     gate: float = SCALAR_GATE
 
-    verdicts = EVERY
+    @property
+    def verdicts(self) -> int:
+        return EVERY
 
     @property
     def names(self) -> tuple[str, ...]:

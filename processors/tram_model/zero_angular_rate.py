@@ -47,8 +47,13 @@ class ZeroAngularRate(NamedTuple):
     pitch_variance: float
     yaw_variance: float
 
-    names = ("zero_angular_rate_x", "zero_angular_rate_y", "zero_angular_rate_z")
-    verdicts = NONE
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("zero_angular_rate_x", "zero_angular_rate_y", "zero_angular_rate_z")
+
+    @property
+    def verdicts(self) -> int:
+        return NONE
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, *self)

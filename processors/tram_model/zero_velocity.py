@@ -37,8 +37,13 @@ class ZeroVelocity(NamedTuple):
     """(m/s)²."""
     gate: float = SCALAR_GATE
 
-    names = ("zero_velocity",)
-    verdicts = NONE
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("zero_velocity",)
+
+    @property
+    def verdicts(self) -> int:
+        return NONE
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
         take(memory, self.variance, self.gate)

@@ -27,6 +27,7 @@ from tramstream.live import snapshots
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LOG, LocalisationFilter
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import SIZE, Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackHeading
 from tramstream.proto.estimate_pb2 import MapMatch, MotionState
@@ -79,11 +80,11 @@ def near_arc(rng: np.random.Generator, bend: float) -> Array:
     return x
 
 
-def tracked(x: Array, P: Array, on_track: OnTrack) -> Navigation:
+def tracked(x: Array, P: Array, on_track: OnTrack, gate: float = held.INFINITE) -> Navigation:
     """A navigation that was put onto the track."""
     navigation = Navigation(held.vehicle(), LEVEL)
     navigation.ekf.x, navigation.ekf.P = x, P
-    navigation.on_track(on_track)
+    navigation.on_track(on_track, gate)
     return navigation
 
 
@@ -194,7 +195,7 @@ def test_track_beyond_the_gate_changes_nothing() -> None:
     rng = np.random.default_rng(4)
     x, P = near_arc(rng, 1.0), np.eye(SIZE) * 1e-4
     on_track = told(x, 1.0, (1e-4, 1e-4, 1.0))._replace(across_m=9.0, yaw_off_rad=1.0)
-    navigation = tracked(x, P, on_track)
+    navigation = tracked(x, P, on_track, SCALAR_GATE)
     np.testing.assert_array_equal(navigation.ekf.x[:, 0], x)
     np.testing.assert_array_equal(navigation.ekf.P, P)
     assert not any(verdict.accepted for verdict in navigation.given)
