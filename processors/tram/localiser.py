@@ -6,9 +6,9 @@
 
 *Resting*: the filter runs without a heading, which a vehicle that stands does not need; it learns
 biases and averages nothing, for fixes at a stop share their error. *Seeking*: the vehicle moves;
-see `tram_search`. *Running*: the filter as it is. When nothing has told of the motion for long, the
+see `heading.py`. *Running*: the filter as it is. When nothing has told of the motion for long, the
 vehicle is looked for again, with all that has been learned of its sensors; one that stood before
-and has not moved is taken to stand there yet (`tram_outage`).
+and has not moved is taken to stand there yet (`outage.py`).
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class Parameters(Protocol):
 
 
 class Situation(Protocol):
-    """What depends on how the vehicle goes; see `processors/tram/modes.py`."""
+    """What depends on how the vehicle goes; see `processors/tram/coasting.py`."""
 
     heading_known: int
     """0 while it is not: positions are then the antenna's, and yaw is 0."""
