@@ -27,7 +27,7 @@ from tramstream.processor import Processor, Sample, State
 from tramstream.processors.localisation.matching import Matched, location_of
 from tramstream.processors.localisation.models import localiser, traced
 from tramstream.processors.tram.smoother import smooth
-from tramstream.processors.tram.trace import Tracer
+from tramstream.processors.tram.trace import Trace, Tracer
 from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
 from tramstream.proto.sync_pb2 import SyncFrame
 
@@ -208,13 +208,18 @@ class LocalisationFilter(Processor):
     def smoothed(self) -> Iterator[Sample]:
         """See `tramstream.processor.Smoothing`."""
         last_ns = 0
-        for trace in self._tracer.traces if self._tracer is not None else []:
+        for trace in self.traces:
             places = Places(trace.level)
             for estimate in smooth(trace).estimates():
                 message = self._message(estimate, places)
                 if estimate.stamp_ns > last_ns and message is not None:
                     last_ns = estimate.stamp_ns
                     yield self.emit(keys.EST_SMOOTHED, message, last_ns)
+
+    @property
+    def traces(self) -> list[Trace]:
+        """What was written down for a smoother; nothing unless `keep` was called."""
+        return [] if self._tracer is None else self._tracer.traces
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:

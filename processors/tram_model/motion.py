@@ -12,9 +12,9 @@ false step of the pitch shows in it within a second, long before its gravity doe
 the pitch gyroscope goes into both together, as that of the vertical one into heading and paths.
 
 Functions with a `memory` are what Python calls: they take arrays of one record (`records.py`), for
-a fraction of a microsecond. Equations are those of docs/theory.md, section 5.2, with the up direction of
-the place, u = [E/r, N/r, 1] in the tangent plane of the origin (r: Earth's radius). In the code x
-is the state, c the parameters, s the situation, u the inertial reading.
+a fraction of a microsecond. Equations are those of docs/theory.md, section 5.2, with the up
+direction of the place, u = [E/r, N/r, 1] in the tangent plane of the origin (r: Earth's radius).
+In the code x is the state, c the parameters, s the situation, u the inertial reading.
 """
 
 from __future__ import annotations

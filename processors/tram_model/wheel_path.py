@@ -3,8 +3,9 @@
     z = s − σ v τ (1 + k) + n
 
 with the path s that the filter has integrated for that wheel (a state, which counts from each
-reading on), its scale error k, the sign σ by which it counts, and the delay τ of the bus (docs/theory.md,
-section 6). A path never loses a pulse to rounding, as a speed made of pulses would.
+reading on), its scale error k, the sign σ by which it counts, and the delay τ of the bus
+(docs/theory.md, section 6). A path never loses a pulse to rounding, as a speed made of
+pulses would.
 """
 
 from __future__ import annotations

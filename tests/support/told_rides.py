@@ -34,17 +34,15 @@ from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.tram.gnss import WHITE_SHARE
-from tramstream.processors.tram.motion import ENTRY_COUNT
 from tramstream.processors.tram.navigation import GYRO_SCALE_STD
-from tramstream.processors.tram.states import SIZE, Ix
 from tramstream.processors.tram.trace import (
     ANEW,
     INSTANT,
     PREDICTION,
     SCALAR_TAIL,
     Trace,
-    TracedLocaliser,
 )
+from tramstream.processors.tram_model.states import ENTRY_COUNT, SIZE, Ix
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Scenario
@@ -222,10 +220,9 @@ def judged(
             for each in state.innovations:
                 kept = innovations.setdefault(each.measurement, [])
                 kept.append((each.value**2 / each.variance, each.accepted))
-    if isinstance(processor.localiser, TracedLocaliser):
-        for trace in processor.localiser.traces:
-            for name, square in unpublished(trace):
-                innovations.setdefault(name, []).append((square, True))
+    for trace in processor.traces:
+        for name, square in unpublished(trace):
+            innovations.setdefault(name, []).append((square, True))
     return Judged(
         nees(ride.simulation, states),
         {
