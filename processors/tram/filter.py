@@ -23,6 +23,7 @@ from tramstream.estimation.records import frozen, numbers, one
 from tramstream.processors.tram.estimate import estimate_of
 from tramstream.processors.tram_model import motion, prediction_to_now, wheel_path
 from tramstream.processors.tram_model.measurement import (
+    EVERY,
     NONE,
     PAIR_GATE,
     REFUSED,
@@ -74,7 +75,8 @@ class TramFilter:
         self.fields = one(MEMORY)
         """State, covariance, and what the last step left; see `records.Memory`."""
         # What kernels take: the same as plain numbers.
-        self._signs = self.situation["wheel_sign"][0].data
+        self.wheel_signs = self.situation["wheel_sign"][0].data
+        """1 or −1 for each wheel, by which way it counts; to be read."""
         self._c, self._s = numbers(constants), numbers(self.situation)
         self.memory = numbers(self.fields)
         self._x: Array = self.fields["x"][0]
@@ -86,8 +88,9 @@ class TramFilter:
         self._y, self._S = self.fields["y"][0].data, self.fields["S"][0].data
         self.stamp_ns = 0
         """Time of the state, vehicle clock."""
-        self.log_likelihood_sum = 0.0
-        """Of all measurements since it was last set to zero, without what all hypotheses share."""
+        self.log_likelihood_sum: float | None = None
+        """Of all measurements since it was last set, without what all hypotheses share; None while
+        no hypotheses are compared."""
         self.watcher: Watcher | None = None
 
     # What a filterpy user reads ------------------------------------------------------------------
@@ -215,30 +218,35 @@ class TramFilter:
         if self.watcher is not None:
             self.watcher.updated(self.memory)
         kind = measurement.verdicts
-        if kind == NONE:
-            return []
-        if kind == REFUSED:
-            return self._judge_alike(measurement)
+        if self.log_likelihood_sum is not None and kind != NONE:
+            self.log_likelihood_sum += self._log_likelihood(kind, len(measurement.names))
+        if kind == EVERY:
+            return self._verdicts(measurement.names)
+        return self._verdicts(measurement.names[:1]) if kind == REFUSED and self.refused else []
+
+    def _verdicts(self, names: tuple[str, ...]) -> list[Verdict]:
+        """Give what is published of the last innovations; the gate left its word in S's sign."""
         y, S = self._y, self._S
-        return [self._judge(name, y[k], S[k]) for k, name in enumerate(measurement.names)]
+        if len(names) == 1:
+            variance = S[0]
+            return [Verdict(names[0], y[0], abs(variance), variance > 0.0)]
+        return [Verdict(name, y[k], abs(S[k]), S[k] > 0.0) for k, name in enumerate(names)]
 
-    def _judge(self, name: str, y: float, S: float) -> Verdict:
-        """Count an innovation; its variance is negative where it was refused."""
-        accepted = S > 0.0
-        S = abs(S)
-        # What is refused counts as much as the last that would not have been.
-        distance = min(y * y / S, PAIR_GATE) if S > 0.0 else PAIR_GATE
-        self.log_likelihood_sum -= 0.5 * (distance + math.log(S))
-        return Verdict(name, y, S, accepted)
+    def _log_likelihood(self, kind: int, rows: int) -> float:
+        """What the last innovations tell of a hypothesis, without what all of them share.
 
-    def _judge_alike(self, measurement: Measurement) -> list[Verdict]:
-        """Count an innovation whose variance is the same for all hypotheses: it tells none."""
-        y, S = self._y[0], self._S[0]
-        if S > 0.0:
-            self.log_likelihood_sum -= 0.5 * (y * y / S)
-            return []
-        self.log_likelihood_sum -= 0.5 * SCALAR_GATE
-        return [Verdict(measurement.names[0], y, -S, False)]
+        Refused ones count as much as the last that would not have been. Of those that are published
+        when they are refused, the variance is the same for all hypotheses.
+        """
+        total = 0.0
+        for y, S in zip(self._y[:rows], self._S[:rows], strict=True):
+            if kind == REFUSED:
+                total -= 0.5 * (y * y / S if S > 0.0 else SCALAR_GATE)
+            else:
+                variance = abs(S)
+                distance = min(y * y / variance, PAIR_GATE) if variance > 0.0 else PAIR_GATE
+                total -= 0.5 * (distance + math.log(variance))
+        return total
 
     def zero_velocity(self) -> bool:
         """Take that the vehicle has no speed; False if its speed had to be forgotten for that."""
@@ -331,11 +339,6 @@ class TramFilter:
         """How far each wheel stands to the left of the axis."""
         offsets: list[float] = self.situation["wheel_offset"][0].tolist()
         return offsets
-
-    def wheel_sign(self, wheel: int) -> float:
-        """1 or −1, by which way a wheel counts."""
-        sign: float = self._signs[wheel]
-        return sign
 
     def set_wheel_sign(self, wheel: int, sign: float) -> None:
         """Set which way a wheel counts."""

@@ -113,6 +113,7 @@ class Search:
         for wheel, offset_m in enumerate(offsets_m):  # they may have been assigned since
             navigation.ekf.set_wheel(wheel, offset_m)
         navigation.ekf.set_time(stamp_ns)
+        navigation.ekf.log_likelihood_sum = None
 
     # Displacements -------------------------------------------------------------------------------
     def _follow(self, navigation: Navigation, frame: SyncFrame) -> None:
@@ -167,6 +168,8 @@ class Search:
         _load(navigation, first)
         sure = len(self._tried) == 1 or not first["likelihood"] - last["likelihood"] < SURE
         self.found = sure or self._alignment.way_m > UNSURE_WAY_M
+        if self.found:
+            navigation.ekf.log_likelihood_sum = None
         return float(first["sign"])
 
     # Memory --------------------------------------------------------------------------------------
@@ -195,9 +198,10 @@ class Search:
 
 def _state(sign: float, navigation: Navigation) -> dict[str, Any]:
     likelihood = navigation.ekf.log_likelihood_sum
+    known = likelihood is not None and math.isfinite(likelihood)
     return {
         "sign": sign,
-        "likelihood": likelihood if math.isfinite(likelihood) else -math.inf,
+        "likelihood": likelihood if known else -math.inf,
         "navigation": navigation.snapshot(),
     }
 

@@ -53,8 +53,9 @@ LEAVING_STD_MPS = 0.01
 """Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
-ASTRAY_S = 0.5
+ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
+ASTRAY = "a measurement that is not of its frame's time was left out"
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
 
@@ -218,14 +219,21 @@ class Navigation:
         verdicts, self.given = self.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
         if gnss or odometry:
-            measurements: list[Any] = sorted((*gnss, *odometry), key=_stamp)
+            measurements: list[Any] = [*gnss, *odometry]
+            if len(measurements) > 1:
+                measurements.sort(key=_stamp)
             for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
-                if not self._of(stamp_ns, frame_ns):
+                if not ekf.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
+                    self.complaints.append(ASTRAY)
                     continue
-                ekf.go_to(min(stamp_ns, frame_ns), self.between, standing)
+                if stamp_ns < frame_ns:
+                    ekf.go_to(stamp_ns, self.between, standing)
+                elif ekf.stamp_ns < frame_ns:
+                    ekf.go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
-        ekf.go_to(frame_ns, self.between, standing)
+        if ekf.stamp_ns < frame_ns:
+            ekf.go_to(frame_ns, self.between, standing)
         if noise is None:
             if standing:
                 ekf.zero_velocity()
@@ -249,13 +257,6 @@ class Navigation:
         if self._heaves:
             ekf.apply(self._vertical)
         return refused
-
-    def _of(self, stamp_ns: int, frame_ns: int) -> bool:
-        """Whether a measurement belongs where it is: behind the last frame, not beyond this one."""
-        fits = max(self.ekf.stamp_ns - stamp_ns, stamp_ns - frame_ns) < ASTRAY_S * S
-        if not fits:
-            self.complaints.append("a measurement that is not of its frame's time was left out")
-        return fits
 
     def _stand(self, noise: Array) -> None:
         """Take what a vehicle that stands shows: no speed, biases as rates, gravity along x."""

@@ -82,6 +82,11 @@ class Wheel:
         """By how much its innovations lean, forwards positive."""
         return self.ahead if self.ahead > self.behind else -self.behind
 
+    @property
+    def fits(self) -> bool:
+        """Whether neither its last reading nor the lean of its innovations tells of a slip."""
+        return not (self.refused or self.ahead > LEAN or self.behind > LEAN)
+
 
 class WheelPair:
     """The one or two wheels that the filter has states for."""
@@ -142,20 +147,22 @@ class WheelPair:
 
     def take(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
         """Take all wheels of a reading; the filter is at its stamp."""
-        verdicts = []
+        verdicts, stamp_ns, fits = [], reading.stamp_ns, True
         for each in reading.wheels:
             wheel = self._wheels.get(each.wheel)
             if wheel is None:
                 continue
             if each.HasField("pulses"):
-                verdict = self._path(wheel, each.pulses, reading.stamp_ns, ekf)
+                verdict = self._path(wheel, each.pulses, stamp_ns, ekf)
+                fits = fits and wheel.fits
             elif _has_speed(each):
-                verdict = self._rim(wheel, each, reading.stamp_ns, ekf)
+                verdict = self._rim(wheel, each, stamp_ns, ekf)
             else:
-                verdict = None
+                continue
             if verdict is not None:
                 verdicts.append(verdict)
-        self._watch(reading.stamp_ns, ekf)
+        if not fits:
+            self._watch(stamp_ns, ekf)
         return verdicts
 
     def counted(self, frames: list[SyncFrame]) -> float:
@@ -224,14 +231,17 @@ class WheelPair:
         if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             self._begin(wheel, stamp_ns, variance, ekf)
             return None
-        self._turn_sign(wheel, way, speed, ekf)
+        sign = ekf.wheel_signs[wheel.slot]
+        if wheel.signed or way * sign * speed < 0.0:
+            self._turn_sign(wheel, way, speed, ekf)
         if wheel.slipping:
             return self._slip(wheel, way, variance, stamp_ns, pause_s, ekf)
         (verdict,) = ekf.apply(WheelPath(wheel.slot, way, variance))
         normal = verdict.innovation / math.sqrt(verdict.variance)
         wheel.refused = not verdict.accepted
-        wheel.ahead = max(0.0, wheel.ahead + normal - SLACK)
-        wheel.behind = max(0.0, wheel.behind - normal - SLACK)
+        ahead, behind = wheel.ahead + normal - SLACK, wheel.behind - normal - SLACK
+        wheel.ahead = ahead if ahead > 0.0 else 0.0
+        wheel.behind = behind if behind > 0.0 else 0.0
         return verdict
 
     def _begin(self, wheel: Wheel, stamp_ns: int, variance: float, ekf: TramFilter) -> None:
@@ -246,9 +256,7 @@ class WheelPair:
         The filter may have been led astray before that is seen, by as much as they lean.
         """
         wheels = [wheel for wheel in self._wheels.values() if not wheel.slipping]
-        lost = [wheel for wheel in wheels if wheel.refused or abs(wheel.lean) > LEAN]
-        if not lost:
-            return
+        lost = [wheel for wheel in wheels if not wheel.fits]
         most = max((wheel.lean for wheel in lost), key=abs)
         led = min(abs(most) / LEAN, 1.0)
         for wheel in wheels:
@@ -266,7 +274,7 @@ class WheelPair:
 
     def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
-        before = ekf.wheel_sign(wheel.slot)
+        before = ekf.wheel_signs[wheel.slot]
         if wheel.signed:
             sign = 1.0
         elif way * before * speed < 0.0 and abs(speed) > BACKWARDS_MPS:

@@ -109,4 +109,5 @@ class LateralForce(NamedTuple):
         return REFUSED
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
-        take(memory, parameters, *self)
+        # What comes a hundred times a second is called without an asterisk.
+        take(memory, parameters, self.inertial, self.gate)
