@@ -369,6 +369,7 @@ OWN_BYTES = {
     "recorder/reader.py",
     "tramstream/boundary.py",
     "tramstream/estimation/published.py",
+    "tramstream/memory/kinds.py",
     "tramstream/transport/resend.py",
     "tramstream/live/snapshots.py",
 }

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
@@ -19,10 +18,9 @@ from google.protobuf.message import Message
 from tramstream.config import Vehicle
 from tramstream.config_file import settings
 from tramstream.keys import Key
+from tramstream.memory.stage import State as State
+from tramstream.memory.stage import assign, dataclass_kind, from_plain, to_plain
 from tramstream.proto.sync_pb2 import LateSample
-
-State = dict[str, Any]
-"""Plain data: None, bool, int, float, str, bytes, lists, dicts and numpy arrays of these."""
 
 
 class Sample(NamedTuple):
@@ -64,8 +62,8 @@ class Processor(ABC):
     """A pure stage: `step(sample) -> [sample]` with memory that can be copied out and put back.
 
     Subclasses declare `name`, `inputs` and `outputs`, and number their outputs with `emit`. Their
-    memory is one dataclass of plain data, `Memory`, of which `self.memory` is an instance; settings
-    are no part of it. One that keeps it otherwise overrides `snapshot` and `restore`.
+    memory is one dataclass, `Memory`, of which `self.memory` is an instance; settings are no part
+    of it. Parts of a stage hold their part of it.
     """
 
     name: ClassVar[str]
@@ -80,10 +78,11 @@ class Processor(ABC):
     """Takes about as long as all others together: reprocessing gives it a core of its own."""
 
     Memory: ClassVar[type[Any]] = NoMemory
-    """Dataclass whose fields are plain data (`State`) and have defaults: the memory of a start."""
+    """Dataclass whose fields have defaults, as at a start; see `tramstream.memory.stage`."""
 
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self._next_sequence: dict[str, int] = {}
+        dataclass_kind(self.Memory)  # raises TypeError for what cannot be kept
         self.memory: Any = self.Memory()
         if vehicle is not None and self.Settings is not None:
             self.settings: Any = settings(vehicle, self.name, self.Settings)
@@ -93,9 +92,8 @@ class Processor(ABC):
         """Take one sample, return what follows from it, in the order of publication."""
 
     def snapshot(self) -> State:
-        """Memory as plain data that shares nothing with the processor; `restore` takes it back."""
-        own = {field.name: getattr(self.memory, field.name) for field in fields(self.memory)}
-        return {"memory": deepcopy(own), "sequences": self.sequences()}
+        """Memory as plain data that share nothing with the processor; `restore` takes them back."""
+        return {"memory": to_plain(self.memory), "sequences": self.sequences()}
 
     def restore(self, state: State) -> None:
         """Go on from `state`, which `snapshot` of the same class gave.
@@ -105,8 +103,15 @@ class Processor(ABC):
         TypeError
             If it is of another version, with other fields.
         """
-        self.memory = self.Memory(**deepcopy(state["memory"]))
-        self.restore_sequences(state["sequences"])
+        memory, sequences = state.get("memory"), state.get("sequences")
+        if memory is None or sequences is None:
+            raise TypeError("memory of another version: not a memory and its sequence numbers")
+        assign(self.memory, from_plain(self.Memory, memory))
+        self.restore_sequences(sequences)
+        self.restored()
+
+    def restored(self) -> None:  # noqa: B027  most derive nothing
+        """Memory was put back: make anew what is derived from it, if anything is."""
 
     def ledgers(self) -> list[Ledger]:
         """What became of all that came in, one entry for each unit the stage counts in."""
@@ -125,7 +130,7 @@ class Processor(ABC):
         return dict(self._next_sequence)
 
     def restore_sequences(self, state: State) -> None:
-        self._next_sequence = deepcopy(state)
+        self._next_sequence = dict(state)
 
 
 @runtime_checkable
