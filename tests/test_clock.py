@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live import HANG_S
 
-from tramstream.clock import ClockFit, S, VehicleClock, boot_id
+from tramstream.clock import ClockFit, FitMemory, S, VehicleClock, boot_id
 from tramstream.errors import ConfigError
+from tramstream.memory.stage import assign, copied, from_plain, to_plain
 
 US, MS = 1_000, 1_000_000
 HOST_START_NS = 1_700_000_000 * S
@@ -103,7 +104,7 @@ def test_crystal_that_warms_up_is_followed_once_its_old_rate_is_out_of_the_windo
         fit.add(device_ns, truth_ns)
     assert fit.host_ns(device_ns) == pytest.approx(truth_ns, abs=20 * US)
     assert fit.skew == pytest.approx(change, abs=1e-6)
-    assert len(fit.snapshot()["minima"]) <= fit.buckets
+    assert len(fit.memory.minima) <= fit.buckets
 
 
 def test_late_arrivals_do_not_move_the_line() -> None:
@@ -214,12 +215,12 @@ def test_restored_fit_goes_on_like_the_one_that_was_copied() -> None:
     fit, truth = ClockFit(), Truth(50e-6)
     feed(fit, truth, 200, 10, delays_ns)
     twin = ClockFit()
-    twin.restore(json.loads(json.dumps(fit.snapshot())))
+    assign(twin.memory, from_plain(FitMemory, json.loads(json.dumps(to_plain(fit.memory)))))
     for k in range(2000, 4000):
         for each in (fit, twin):
             each.add(k * 5 * MS, truth.host_ns(k * 5 * MS) + int(delays_ns[k]))
         assert twin.host_ns(k * 5 * MS) == fit.host_ns(k * 5 * MS)
-    assert twin.snapshot() == fit.snapshot()
+    assert twin.memory == fit.memory
 
 
 def test_getters_answer_twice_the_same_and_before_the_first_arrival() -> None:
@@ -228,8 +229,11 @@ def test_getters_answer_twice_the_same_and_before_the_first_arrival() -> None:
     with pytest.raises(ValueError, match="before the first arrival"):
         fit.host_ns(0)
     feed(fit, Truth(0.0), 100, 3, exponential_ns(5, MS))
-    assert fit.snapshot() == fit.snapshot()
+    before = copied(fit.memory)
     assert fit.host_ns(5) == fit.host_ns(5)
+    assert (fit.ready, fit.offset_ns, fit.skew) == (True, fit.offset_ns, fit.skew)
+    assert fit.residual_ns == fit.residual_ns
+    assert fit.memory == before
 
 
 def test_restart_forgets_everything_but_its_count() -> None:

@@ -22,9 +22,9 @@ import fcntl
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from tramstream import private
 from tramstream.errors import ConfigError
@@ -145,6 +145,27 @@ def _write_clock(path: Path, boot: str, rate: float) -> tuple[int, float]:
     return offset_ns, rate
 
 
+@dataclass
+class FitMemory:
+    """What a `ClockFit` remembers; instants are since the first arrival but for `origin_ns`."""
+
+    restarts: int = 0
+    origin_ns: int | None = None
+    """Device time of the first arrival."""
+    base_ns: int = 0
+    """Arrival − device time of the first arrival."""
+    newest_ns: int = 0
+    minima: list[tuple[int, int]] = field(default_factory=list)
+    """Device time and delay over base, one for each bucket."""
+    knots: list[tuple[int, float, float]] = field(default_factory=list)
+    """Device time, offset over base, slope."""
+    skew: float = 0.0
+    jumps: int = 0
+    jump_since_ns: int = 0
+    """Arrival of the first of them."""
+    residuals: list[float] = field(default_factory=list)
+
+
 class ClockFit:
     """Fit host time to device time from arrivals, on line.
 
@@ -164,6 +185,8 @@ class ClockFit:
         Bound on |host rate / device rate − 1|; a crystal keeps 100e-6.
     step_s : float
         A residual beyond this is a jump, not a delay.
+    memory : FitMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
     JUMP_ARRIVALS = 5
@@ -182,147 +205,118 @@ class ClockFit:
         buckets: int = 64,
         max_skew: float = 200e-6,
         step_s: float = 1.0,
+        memory: FitMemory | None = None,
     ) -> None:
         self.bucket_ns = int(bucket_s * S)
         self.buckets = buckets
         self.max_skew = max_skew
         self.step_ns = int(step_s * S)
-        self.restarts = 0
-        self._reset()
-
-    def _reset(self) -> None:
-        self._origin_ns: int | None = None  # device time of the first arrival
-        self._base_ns = 0  # arrival − device time of the first arrival
-        self._newest_ns = 0  # since origin, like all below
-        self._minima: list[tuple[int, int]] = []  # (device, delay over base), one per bucket
-        self._knots: list[tuple[int, float, float]] = []  # (device, offset over base, slope)
-        self._skew = 0.0
-        self._jumps = 0
-        self._jump_since_ns = 0  # arrival of the first of them
-        self._residuals: list[float] = []
+        self.memory = FitMemory() if memory is None else memory
 
     @property
     def ready(self) -> bool:
-        return self._origin_ns is not None
+        return self.memory.origin_ns is not None
+
+    @property
+    def restarts(self) -> int:
+        """How often the fit was begun anew."""
+        return self.memory.restarts
 
     @property
     def skew(self) -> float:
         """Host rate / device rate − 1 of the fitted line."""
-        return self._skew
+        return self.memory.skew
 
     @property
     def offset_ns(self) -> int:
         """Host − device time now; 0 before the first arrival."""
-        return self._base_ns + round(self._chain(self._newest_ns)) if self.ready else 0
+        return self.memory.base_ns + round(self._chain(self.memory.newest_ns)) if self.ready else 0
 
     @property
     def residual_ns(self) -> float:
         """Median delay above the fit over the last arrivals."""
-        ordered = sorted(self._residuals)
+        ordered = sorted(self.memory.residuals)
         return ordered[len(ordered) // 2] if ordered else 0.0
 
     def restart(self) -> None:
         """Forget the fit: the device said itself that its clock started anew."""
-        self.restarts += 1
-        self._reset()
+        afresh = FitMemory(restarts=self.restarts + 1)
+        vars(self.memory).update(vars(afresh))  # its owner holds the object
 
     def add(self, device_ns: int, arrival_ns: int) -> None:
         """Take note that what was stamped `device_ns` arrived at `arrival_ns`."""
-        if self._origin_ns is None:
-            self._origin_ns, self._base_ns = device_ns, arrival_ns - device_ns
-            self._minima, self._knots = [(0, 0)], [(0, 0.0, 0.0)]
+        memory = self.memory
+        if memory.origin_ns is None:
+            memory.origin_ns, memory.base_ns = device_ns, arrival_ns - device_ns
+            memory.minima, memory.knots = [(0, 0)], [(0, 0.0, 0.0)]
             return
-        elapsed_ns = device_ns - self._origin_ns
-        delay_ns = arrival_ns - device_ns - self._base_ns
+        elapsed_ns = device_ns - memory.origin_ns
+        delay_ns = arrival_ns - device_ns - memory.base_ns
         residual_ns = delay_ns - self._chain(elapsed_ns)
         if abs(residual_ns) > self.step_ns:
             self._suspect_jump(device_ns, arrival_ns, early=residual_ns < 0)
             return
-        self._jumps = 0
-        self._newest_ns = max(self._newest_ns, elapsed_ns)
-        self._residuals.append(residual_ns)
-        if len(self._residuals) > self.RESIDUALS:
-            del self._residuals[: self.RESIDUALS // 2]
+        memory.jumps = 0
+        memory.newest_ns = max(memory.newest_ns, elapsed_ns)
+        memory.residuals.append(residual_ns)
+        if len(memory.residuals) > self.RESIDUALS:
+            del memory.residuals[: self.RESIDUALS // 2]
         self._take_minimum(elapsed_ns, delay_ns)
 
     def _take_minimum(self, elapsed_ns: int, delay_ns: int) -> None:
-        last_ns, lowest_ns = self._minima[-1]
+        memory = self.memory
+        last_ns, lowest_ns = memory.minima[-1]
         bucket = elapsed_ns // self.bucket_ns - last_ns // self.bucket_ns
         if bucket > 0:
             self._refit()  # the bucket that ends is complete, the one that begins is not
-            self._minima.append((elapsed_ns, delay_ns))
-            del self._minima[: -self.buckets]
+            memory.minima.append((elapsed_ns, delay_ns))
+            del memory.minima[: -self.buckets]
         elif bucket == 0 and delay_ns < lowest_ns:
-            self._minima[-1] = (elapsed_ns, delay_ns)
-            if len(self._minima) <= self.SETTLING_BUCKETS:
+            memory.minima[-1] = (elapsed_ns, delay_ns)
+            if len(memory.minima) <= self.SETTLING_BUCKETS:
                 self._refit()
 
     def _suspect_jump(self, device_ns: int, arrival_ns: int, *, early: bool) -> None:
-        if self._jumps == 0:
-            self._jump_since_ns = arrival_ns
-        self._jumps += 1
-        lasting = early or arrival_ns - self._jump_since_ns >= self.step_ns
-        if self._jumps >= self.JUMP_ARRIVALS and lasting:
+        memory = self.memory
+        if memory.jumps == 0:
+            memory.jump_since_ns = arrival_ns
+        memory.jumps += 1
+        lasting = early or arrival_ns - memory.jump_since_ns >= self.step_ns
+        if memory.jumps >= self.JUMP_ARRIVALS and lasting:
             self.restart()
             self.add(device_ns, arrival_ns)
 
     def host_ns(self, device_ns: int) -> int:
         """Map a device instant to host time; needs at least one arrival."""
-        if self._origin_ns is None:
+        memory = self.memory
+        if memory.origin_ns is None:
             raise ValueError("ClockFit.host_ns before the first arrival")
-        return device_ns + self._base_ns + round(self._chain(device_ns - self._origin_ns))
+        return device_ns + memory.base_ns + round(self._chain(device_ns - memory.origin_ns))
 
     def _chain(self, elapsed_ns: int) -> float:
         """Offset over base of the curve in use."""
-        for knot_ns, offset_ns, slope in reversed(self._knots):
+        for knot_ns, offset_ns, slope in reversed(self.memory.knots):
             if knot_ns <= elapsed_ns:
                 return offset_ns + slope * (elapsed_ns - knot_ns)
-        knot_ns, offset_ns, slope = self._knots[0]
+        knot_ns, offset_ns, slope = self.memory.knots[0]
         return offset_ns + slope * (elapsed_ns - knot_ns)
 
     def _refit(self) -> None:
         """Bend the curve, from the newest arrival on, towards the window's supporting line."""
-        self._skew, intercept_ns = _supporting_line(self._minima, self.max_skew)
-        now_ns = self._newest_ns
+        memory = self.memory
+        memory.skew, intercept_ns = _supporting_line(memory.minima, self.max_skew)
+        now_ns = memory.newest_ns
         current_ns = self._chain(now_ns)
-        target_ns = intercept_ns + self._skew * now_ns
+        target_ns = intercept_ns + memory.skew * now_ns
         error_ns = target_ns - current_ns
         slew_ns = abs(error_ns) / (self.MAX_SLEW - self.max_skew)
-        if len(self._minima) > self.SETTLING_BUCKETS:
+        if len(memory.minima) > self.SETTLING_BUCKETS:
             slew_ns = max(slew_ns, self.SLEW_BUCKETS * self.bucket_ns)
         until_ns = now_ns + int(slew_ns) + 1
-        slope = self._skew + error_ns / (until_ns - now_ns)
-        end_ns = target_ns + self._skew * (until_ns - now_ns)
-        past = [knot for knot in self._knots if knot[0] < now_ns][-self.KNOTS :]
-        self._knots = [*past, (now_ns, current_ns, slope), (until_ns, end_ns, self._skew)]
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "origin_ns": self._origin_ns,
-            "base_ns": self._base_ns,
-            "newest_ns": self._newest_ns,
-            "minima": [list(pair) for pair in self._minima],
-            "knots": [list(knot) for knot in self._knots],
-            "skew": self._skew,
-            "jumps": self._jumps,
-            "jump_since_ns": self._jump_since_ns,
-            "residuals": list(self._residuals),
-            "restarts": self.restarts,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._origin_ns = state["origin_ns"]
-        self._base_ns = state["base_ns"]
-        self._newest_ns = state["newest_ns"]
-        self._minima = [(device_ns, delay_ns) for device_ns, delay_ns in state["minima"]]
-        self._knots = [
-            (device_ns, offset_ns, slope) for device_ns, offset_ns, slope in state["knots"]
-        ]
-        self._skew = state["skew"]
-        self._jumps = state["jumps"]
-        self._jump_since_ns = state["jump_since_ns"]
-        self._residuals = list(state["residuals"])
-        self.restarts = state["restarts"]
+        slope = memory.skew + error_ns / (until_ns - now_ns)
+        end_ns = target_ns + memory.skew * (until_ns - now_ns)
+        past = [knot for knot in memory.knots if knot[0] < now_ns][-self.KNOTS :]
+        memory.knots = [*past, (now_ns, current_ns, slope), (until_ns, end_ns, memory.skew)]
 
 
 MIN_POINTS = 8
