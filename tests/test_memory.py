@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from enum import Enum
@@ -14,8 +16,8 @@ from numpy.typing import NDArray
 from tramstream.geodesy import LocalLevel
 from tramstream.keys import SYNC_TICK
 from tramstream.live.snapshots import pack, unpack
-from tramstream.memory import stage
-from tramstream.memory.stage import VARYING, Varying, assign, copied, from_plain, to_plain
+from tramstream.memory.annotations import VARYING, Varying, kind_of
+from tramstream.memory.stage import State, assign, copied, from_plain, to_plain
 from tramstream.processor import Processor, Sample
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -207,7 +209,7 @@ def test_a_memory_may_be_assigned_to_itself() -> None:
     assert pack(to_plain(it)) == pack(to_plain(full()))
 
 
-def without(state: stage.State, name: str) -> stage.State:
+def without(state: State, name: str) -> State:
     return {key: value for key, value in state.items() if key != name}
 
 
@@ -262,7 +264,7 @@ def test_a_shorter_plain_form_is_used() -> None:
         def from_plain(cls, plain: list[int]) -> Long:
             return cls(list(plain))
 
-    kind = stage.kind_of(Long, "here")
+    kind = kind_of(Long, "here")
     long = Long([0, 1, 2])
     assert kind.plain(long) == [1, 2]
     assert kind.read([3], "").numbers == [3]
@@ -305,3 +307,10 @@ def test_a_processor_makes_anew_what_is_derived_when_memory_comes_back() -> None
     for state in ({}, {"memory": {}, "sequences": {}}, {"value": 1}):
         with pytest.raises(TypeError, match="another version"):
             two.restore(state)
+
+
+def test_routers_and_supervisors_do_without_numpy() -> None:
+    """They have no memory to keep; numpy takes 15 MB of each of them."""
+    modules = ["tramstream.live.router", "tramstream.supervision.supervisor"]
+    code = f"import sys, {', '.join(modules)}; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

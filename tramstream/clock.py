@@ -28,6 +28,7 @@ from pathlib import Path
 
 from tramstream import private
 from tramstream.errors import ConfigError
+from tramstream.memory.stage import assign
 
 S = 1_000_000_000
 """Nanoseconds in a second."""
@@ -240,8 +241,7 @@ class ClockFit:
 
     def restart(self) -> None:
         """Forget the fit: the device said itself that its clock started anew."""
-        afresh = FitMemory(restarts=self.restarts + 1)
-        vars(self.memory).update(vars(afresh))  # its owner holds the object
+        assign(self.memory, FitMemory(restarts=self.restarts + 1))
 
     def add(self, device_ns: int, arrival_ns: int) -> None:
         """Take note that what was stamped `device_ns` arrived at `arrival_ns`."""

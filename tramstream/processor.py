@@ -19,7 +19,7 @@ from tramstream.config import Vehicle
 from tramstream.config_file import settings
 from tramstream.keys import Key
 from tramstream.memory.stage import State as State
-from tramstream.memory.stage import assign, dataclass_kind, from_plain, to_plain
+from tramstream.memory.stage import assign, check, from_plain, to_plain
 from tramstream.proto.sync_pb2 import LateSample
 
 
@@ -82,7 +82,7 @@ class Processor(ABC):
 
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self._next_sequence: dict[str, int] = {}
-        dataclass_kind(self.Memory)  # raises TypeError for what cannot be kept
+        check(self.Memory)
         self.memory: Any = self.Memory()
         if vehicle is not None and self.Settings is not None:
             self.settings: Any = settings(vehicle, self.name, self.Settings)

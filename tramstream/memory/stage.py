@@ -17,38 +17,27 @@ and frozen dataclasses are values: nobody changes them, and copies share them.
 
 `assign` fills in place: dataclasses, arrays, lists and dictionaries stay the objects that they are,
 so that a part which holds its memory, or a view of its numbers, goes on with it. For that an array
-keeps its shape; one that does not is annotated as `Varying`. What a constructor does not take
+keeps its shape; one that does not is annotated as `Varying`
+(`tramstream/memory/annotations.py`). What a constructor does not take
 (`init=False`) is derived, and no part of memory.
 """
 
 from __future__ import annotations
 
-import types
-import typing
-from collections import Counter, deque
-from dataclasses import fields, is_dataclass
-from enum import Enum
 from functools import cache
-from typing import Annotated, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import numpy as np
-from google.protobuf.message import Message
-from numpy.typing import NDArray
-
-from tramstream.memory import kinds
-from tramstream.memory.kinds import Kind
+if TYPE_CHECKING:
+    from tramstream.memory.kinds import Kind
 
 State = dict[str, Any]
 """Plain data: None, bool, int, float, str, bytes, lists, dicts and numpy arrays of these."""
-VARYING = "varying"
-"""In an annotation: an array that is replaced as a whole, whatever its shape."""
-Varying = Annotated[NDArray[np.float64], VARYING]
 Memory = TypeVar("Memory")
 
 
 def copied(memory: Memory) -> Memory:
     """A memory of the same contents, which shares nothing that anybody changes."""
-    return cast("Memory", dataclass_kind(type(memory)).copy(memory))
+    return cast("Memory", _kind(type(memory)).copy(memory))
 
 
 def assign(memory: Memory, other: Memory) -> None:
@@ -61,12 +50,12 @@ def assign(memory: Memory, other: Memory) -> None:
     """
     if type(other) is not type(memory):
         raise TypeError(f"memory of another version: {type(other)} instead of {type(memory)}")
-    dataclass_kind(type(memory)).merge(memory, other)
+    _kind(type(memory)).merge(memory, other)
 
 
 def to_plain(memory: Any) -> State:
     """A memory as plain data, which share nothing with it."""
-    state: State = dataclass_kind(type(memory)).plain(memory)
+    state: State = _kind(type(memory)).plain(memory)
     return state
 
 
@@ -78,97 +67,23 @@ def from_plain(kind: type[Memory], state: State) -> Memory:
     TypeError
         If it is of another version: with other fields, or values of other types.
     """
-    return cast("Memory", dataclass_kind(kind).read(state, kind.__name__))
+    return cast("Memory", _kind(kind).read(state, kind.__name__))
+
+
+def check(kind: type) -> None:
+    """See to it that memories of class `kind` can be kept.
+
+    Raises
+    ------
+    TypeError
+        If it is no dataclass, or a field is annotated with what cannot be kept.
+    """
+    _kind(kind)
 
 
 @cache
-def dataclass_kind(kind: type) -> Kind:
-    """How memories of the dataclass `kind` are kept.
+def _kind(kind: type) -> Kind:
+    # Not before it is needed: routers and supervisors have no memory, and do without numpy's 15 MB.
+    from tramstream.memory.annotations import dataclass_kind
 
-    Raises
-    ------
-    TypeError
-        If it is no dataclass, or holds what cannot be kept.
-    """
-    if not is_dataclass(kind):
-        raise TypeError(f"{kind.__name__} is no memory: a memory is a dataclass")
-    hints = typing.get_type_hints(kind, include_extras=True)
-    by_name = {
-        each.name: kind_of(hints[each.name], f"{kind.__name__}.{each.name}")
-        for each in fields(kind)
-        if each.init
-    }
-    frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    return kinds.FrozenFields(kind, by_name) if frozen else kinds.Fields(kind, by_name)
-
-
-def kind_of(hint: Any, where: str) -> Kind:
-    """How values are kept that `where` are annotated with `hint`.
-
-    Raises
-    ------
-    TypeError
-        If such values cannot be kept.
-    """
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Annotated:
-        return kinds.WholeArray() if VARYING in arguments else kind_of(arguments[0], where)
-    if origin in (typing.Union, types.UnionType):
-        return _choice(arguments, where)
-    kind = origin or hint
-    if kind is Any:
-        return Kind()
-    if kind in kinds.TAKEN_FOR:
-        return kinds.Value(*kinds.TAKEN_FOR[kind])
-    found = _class_kind(kind, arguments, where) if isinstance(kind, type) else None
-    if found is None:
-        raise TypeError(f"{where}: a memory cannot hold {hint!r}")
-    return found
-
-
-def _choice(arguments: tuple[Any, ...], where: str) -> Kind:
-    """`X | None`, numbers and texts of several types, messages of several types."""
-    rest = [each for each in arguments if each is not type(None)]
-    if all(each in kinds.TAKEN_FOR for each in rest):
-        return kinds.Value(*(one for each in arguments for one in kinds.TAKEN_FOR[each]))
-    if len(rest) == 1:
-        return kinds.Maybe(kind_of(rest[0], where))
-    if not all(isinstance(each, type) and issubclass(each, Message) for each in rest):
-        raise TypeError(f"{where}: a memory cannot hold one of {rest}")
-    kind = kinds.OneOfMessages(rest)
-    return kinds.Maybe(kind) if len(rest) < len(arguments) else kind
-
-
-def _class_kind(kind: type, arguments: tuple[Any, ...], where: str) -> Kind | None:
-    """How instances of a class are kept; None if they cannot be."""
-    if issubclass(kind, np.ndarray):
-        return kinds.FilledArray()
-    if issubclass(kind, Message):
-        return kinds.OneMessage(kind)
-    if issubclass(kind, Enum):
-        return kinds.Member(kind)
-    if issubclass(kind, complex):
-        return kinds.Complex()
-    if issubclass(kind, dict):
-        return _dict_kind(kind, arguments, where)
-    if issubclass(kind, tuple):
-        return _tuple_kind(kind, arguments, where)
-    if kind in (list, deque, set):
-        return kinds.Several(kind, kind_of(arguments[0] if arguments else Any, where))
-    if is_dataclass(kind):
-        return dataclass_kind(kind)
-    return kinds.Shorter(kind) if hasattr(kind, "to_plain") else None
-
-
-def _dict_kind(kind: type, arguments: tuple[Any, ...], where: str) -> Kind:
-    key, inner = (*arguments, int)[:2] if kind is Counter else arguments or (str, Any)
-    return kinds.Dictionary(kind, kind_of(key, where), kind_of(inner, where), by_text=key is str)
-
-
-def _tuple_kind(kind: Any, arguments: tuple[Any, ...], where: str) -> Kind:
-    if hasattr(kind, "_fields"):
-        hints = typing.get_type_hints(kind, include_extras=True)
-        return kinds.Row(kind, [kind_of(hints[name], where) for name in kind._fields])
-    if not arguments or arguments[-1] is Ellipsis:
-        return kinds.Several(tuple, kind_of(arguments[0] if arguments else Any, where))
-    return kinds.Row(kind, [kind_of(each, where) for each in arguments])
+    return dataclass_kind(kind)
