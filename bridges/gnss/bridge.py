@@ -22,13 +22,21 @@ only where there are none of these.
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
 
 from tramstream import keys
 from tramstream.bridges.gnss import messages as gnss_messages
 from tramstream.bridges.gnss import nmea, ubx
-from tramstream.bridges.gnss.clock import MS, ArrivalClock, GpsTimeline, in_range, leap_seconds_on
+from tramstream.bridges.gnss.clock import (
+    MS,
+    ArrivalClock,
+    ArrivalMemory,
+    GpsTimeline,
+    in_range,
+    leap_seconds_on,
+)
 from tramstream.bridges.gnss.framer import NMEA, UBX, Frame, Framer, Rejected
 from tramstream.bridges.gnss.nmea import EpochAssembler
 from tramstream.bridges.gnss.ubx import UbxMessage
@@ -36,7 +44,7 @@ from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.keys import Key
-from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.gnss_pb2 import GnssCovariance, GnssFix, UbxFrame
 from tramstream.proto.raw_pb2 import RawBytes
 
@@ -44,11 +52,45 @@ _RANKS = {"NMEA": 1, "HNR-PVT": 2, "NAV-PVT": 3, "NAV-PVAT": 3}
 _NAVIGATION = 3
 
 
+@dataclass(frozen=True)
+class LastFix:
+    """What must be known of the fix that was published last."""
+
+    source: str
+    itow_ms: int
+    utc_ns: int
+    device_ns: int | None
+    """Its time by the clock that it was stamped with; None if another clock has taken over."""
+    stamp_ns: int
+
+
+@dataclass
+class BridgeMemory:
+    """What a `GnssBridge` remembers."""
+
+    framer: Framer = field(default_factory=Framer)
+    assembler: EpochAssembler = field(default_factory=EpochAssembler)
+    timeline: GpsTimeline = field(default_factory=GpsTimeline)
+    clock: ArrivalMemory = field(default_factory=ArrivalMemory)
+    nmea_clock: ArrivalMemory = field(default_factory=ArrivalMemory)
+    reads: deque[tuple[int, int]] = field(default_factory=deque)
+    """Of each read that is not settled: its end in the stream, its arrival."""
+    decoded: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    rank: int = 0
+    navigation_time: bool = False
+    """Some NAV or HNR message has told the time."""
+    last_fix: LastFix | None = None
+    covariance: GnssCovariance | None = None
+
+
 class GnssBridge(Processor):
     """Receiver's bytes to messages; see the head of the module."""
 
     name = "gnss"
     Settings = Gnss
+    Memory = BridgeMemory
+    memory: BridgeMemory
     inputs = (keys.GNSS_BYTES,)
     outputs = (
         keys.GNSS_FIX,
@@ -63,25 +105,18 @@ class GnssBridge(Processor):
             raise ConfigError("$.gnss is missing: the GNSS bridge needs a receiver")
         self.config = vehicle.gnss
         delay_s, baud_rate = vehicle.gnss.receiver_delay_s, vehicle.gnss.baud_rate
-        self.clock = ArrivalClock(delay_s, baud_rate)
-        self.nmea_clock = ArrivalClock(delay_s, baud_rate)
-        self.timeline = GpsTimeline()
-        self._framer = Framer()
-        self._assembler = EpochAssembler()
-        self._reads: deque[tuple[int, int]] = deque()  # end in the stream, arrival
-        self._decoded = 0
-        self._refused: Counter[str] = Counter()
-        self._rank = 0
-        self._navigation_time = False  # some NAV or HNR message has told the time
-        self._last_fix: dict[str, Any] | None = None
-        self._covariance: GnssCovariance | None = None
+        memory = self.memory
+        self.clock = ArrivalClock(delay_s, baud_rate, memory.clock)
+        self.nmea_clock = ArrivalClock(delay_s, baud_rate, memory.nmea_clock)
+        self.timeline = memory.timeline
 
     def step(self, sample: Sample) -> list[Sample]:
+        memory = self.memory
         raw: RawBytes = sample.message
         self._note_reads(raw, sample.stamp_ns)
         out: list[Sample] = []
-        reads = self._reads
-        for item in self._framer.feed(raw.data):
+        reads = memory.reads
+        for item in memory.framer.feed(raw.data):
             if isinstance(item, Rejected):
                 continue  # the framer keeps the count
             while reads[0][0] <= item.end:
@@ -92,14 +127,15 @@ class GnssBridge(Processor):
             elif item.protocol == NMEA:
                 out += self._take_nmea(item, arrival_ns)
             else:
-                self._decoded += 1  # corrections on their way back: in the raw bytes, nowhere else
-        while reads and reads[0][0] <= self._framer.position:
+                memory.decoded += 1  # corrections on their way back: in the raw bytes, nowhere else
+        while reads and reads[0][0] <= memory.framer.position:
             reads.popleft()
         return out
 
     def _note_reads(self, raw: RawBytes, stamp_ns: int) -> None:
         """Remember when each read of `raw` arrived; what no read claims came with the last."""
-        start = self._framer.bytes_in
+        memory = self.memory
+        start = memory.framer.bytes_in
         size = len(raw.data)
         arrival_ns = stamp_ns
         if len(raw.read_length) == len(raw.read_offset_ns):
@@ -108,16 +144,17 @@ class GnssBridge(Processor):
                 arrival_ns = in_range(stamp_ns + offset_ns)
                 if end >= size:
                     break
-                self._reads.append((start + end, arrival_ns))
+                memory.reads.append((start + end, arrival_ns))
         if size:
-            self._reads.append((start + size, arrival_ns))
+            memory.reads.append((start + size, arrival_ns))
 
     def _take_ubx(self, frame: Frame, arrival_ns: int) -> list[Sample]:
+        memory = self.memory
         if not ubx.knows(frame.kind) or len(frame.raw) == ubx.REQUEST_LENGTH:
             return self._whole(frame, arrival_ns)
         message = ubx.decode(frame)
         if isinstance(message, Rejected):
-            self._refused[message.reason] += 1
+            memory.refused[message.reason] += 1
             return []
         name = message.name
         gps_ns = self.timeline.of(message)
@@ -125,34 +162,35 @@ class GnssBridge(Processor):
             self.clock.add(gps_ns, arrival_ns, len(frame.raw))
         if name in _RANKS:
             return self._take_solution(message, frame, gps_ns, arrival_ns)
-        if name == "NAV-POSLLH" and self._rank == _NAVIGATION:
-            self._decoded += 1
+        if name == "NAV-POSLLH" and memory.rank == _NAVIGATION:
+            memory.decoded += 1
             return []  # the same position as in the fix
         made = gnss_messages.BUILDERS.get(name)
         if made is None:
             if name == "NAV-EOE":
-                self._decoded += 1
+                memory.decoded += 1
                 return []
             return self._whole(frame, arrival_ns)
-        self._decoded += 1
+        memory.decoded += 1
         key, build = made
         out = self.emit(key, build(message, gps_ns), self._stamp(key, gps_ns, arrival_ns))
         if name == "NAV-COV":
-            self._covariance = out.message
+            memory.covariance = out.message
         return [out]
 
     def _tells_time(self, name: str) -> bool:
         """Whether the arrival of message `name` may enter the clock fit."""
+        memory = self.memory
         if name.startswith(("NAV-", "HNR-")):
-            self._navigation_time = True
+            memory.navigation_time = True
             return True
-        return name == "RXM-RAWX" and not self._navigation_time
+        return name == "RXM-RAWX" and not memory.navigation_time
 
     def _stamp(self, key: Key, gps_ns: int | None, arrival_ns: int) -> int:
         return arrival_ns if key.instant == "arrival" else self.clock.stamp(gps_ns, arrival_ns)
 
     def _whole(self, frame: Frame, arrival_ns: int) -> list[Sample]:
-        self._decoded += 1
+        self.memory.decoded += 1
         message = UbxFrame(
             message_class=frame.kind >> 8,
             message_id=frame.kind & 0xFF,
@@ -165,17 +203,18 @@ class GnssBridge(Processor):
         self, message: UbxMessage, frame: Frame, gps_ns: int | None, arrival_ns: int
     ) -> list[Sample]:
         """NAV-PVT, NAV-PVAT and HNR-PVT."""
+        memory = self.memory
         rank = _RANKS[message.name]
-        if rank < self._rank:
+        if rank < memory.rank:
             return self._whole(frame, arrival_ns)
-        self._decoded += 1
+        memory.decoded += 1
         fix = gnss_messages.fix(message, gps_ns, self.config.max_accuracy_m)
-        last = self._last_fix
+        last = memory.last_fix
         told = (
             last is not None
-            and last["itow_ms"] == fix.itow_ms
-            and last["source"] != fix.source
-            and _RANKS[last["source"]] == rank
+            and last.itow_ms == fix.itow_ms
+            and last.source != fix.source
+            and _RANKS[last.source] == rank
         )
         out = [] if told else self._publish(fix, self.clock, gps_ns, arrival_ns)
         if message.name == "NAV-PVAT":
@@ -185,17 +224,18 @@ class GnssBridge(Processor):
         return out
 
     def _take_nmea(self, frame: Frame, arrival_ns: int) -> list[Sample]:
+        memory = self.memory
         kind = nmea.sentence_type(frame)
-        if self._rank > _RANKS["NMEA"] or kind not in nmea.TIMED + nmea.UNTIMED:
-            self._decoded += 1
+        if memory.rank > _RANKS["NMEA"] or kind not in nmea.TIMED + nmea.UNTIMED:
+            memory.decoded += 1
             return []
         sentence = nmea.parse(frame)
         if isinstance(sentence, Rejected):
-            self._refused[sentence.reason] += 1
+            memory.refused[sentence.reason] += 1
             return []
-        self._decoded += 1
+        memory.decoded += 1
         out: list[Sample] = []
-        for epoch in self._assembler.feed(sentence, arrival_ns, len(frame.raw)):
+        for epoch in memory.assembler.feed(sentence, arrival_ns, len(frame.raw)):
             utc_ns = epoch.utc_ns
             fix = nmea.fix_of(epoch, self.config.max_accuracy_m)
             if epoch.date:
@@ -211,28 +251,23 @@ class GnssBridge(Processor):
         self, fix: GnssFix, clock: ArrivalClock, device_ns: int | None, arrival_ns: int
     ) -> list[Sample]:
         """Publish a fix, and where it is valid its location."""
-        rank = self._rank = _RANKS[fix.source]
+        memory = self.memory
+        rank = memory.rank = _RANKS[fix.source]
         stamp_ns = clock.stamp(device_ns, arrival_ns)
-        last = self._last_fix
-        if last is not None and rank > _RANKS[last["source"]]:
-            behind_ns = last["utc_ns"] - fix.utc_ns
+        last = memory.last_fix
+        if last is not None and rank > _RANKS[last.source]:
+            behind_ns = last.utc_ns - fix.utc_ns
             if fix.utc_ns and -MS <= behind_ns < ArrivalClock.REORDERED_NS:
                 return []  # the solution it takes over from has told of a newer epoch
-            last = {**last, "device_ns": None}  # its time may have been UTC
-        if last is not None and stamp_ns <= last["stamp_ns"] <= arrival_ns:
-            before_ns = last["device_ns"]
+            last = replace(last, device_ns=None)  # its time may have been UTC
+        if last is not None and stamp_ns <= last.stamp_ns <= arrival_ns:
+            before_ns = last.device_ns
             if device_ns is None or before_ns is None or device_ns >= before_ns:
-                stamp_ns = last["stamp_ns"] + 1
-        self._last_fix = {
-            "source": fix.source,
-            "itow_ms": fix.itow_ms,
-            "utc_ns": fix.utc_ns,
-            "device_ns": device_ns,
-            "stamp_ns": stamp_ns,
-        }
+                stamp_ns = last.stamp_ns + 1
+        memory.last_fix = LastFix(fix.source, fix.itow_ms, fix.utc_ns, device_ns, stamp_ns)
         out = [self.emit(keys.GNSS_FIX, fix, stamp_ns)]
         if fix.valid:
-            known_covariance = self._covariance
+            known_covariance = memory.covariance
             if known_covariance is not None and (
                 rank != _NAVIGATION or known_covariance.itow_ms != fix.itow_ms
             ):
@@ -243,13 +278,14 @@ class GnssBridge(Processor):
 
     def ledgers(self) -> list[Ledger]:
         """Bytes, and the frames cut from them: delivered were understood, dropped were refused."""
-        framer = self._framer
+        memory = self.memory
+        framer = memory.framer
         return [
             Ledger(
                 self.name, "bytes", framer.bytes_in, framer.bytes_in_frames,
                 framer.bytes_rejected, framer.bytes_pending,
             ),
-            Ledger(self.name, "frames", framer.frames, self._decoded, self._refused.total(), 0),
+            Ledger(self.name, "frames", framer.frames, memory.decoded, memory.refused.total(), 0),
         ]  # fmt: skip
 
     def device_counters(self) -> dict[str, Any]:
@@ -257,11 +293,12 @@ class GnssBridge(Processor):
 
         The clock's offset is against GPS time (NMEA: UTC) counted from the Unix epoch.
         """
-        reasons = self._framer.false_starts + self._refused
+        memory = self.memory
+        reasons = memory.framer.false_starts + memory.refused
         counters: dict[str, Any] = {
-            "messages_decoded": self._decoded,
+            "messages_decoded": memory.decoded,
             "frames_rejected": reasons.total(),
-            "bytes_rejected": self._framer.bytes_rejected,
+            "bytes_rejected": memory.framer.bytes_rejected,
             "rejected_by_reason": dict(reasons),
         }
         gps, nmea_only = self.clock.fit, self.nmea_clock.fit
@@ -272,40 +309,6 @@ class GnssBridge(Processor):
             counters["clock_skew_ppm"] = fit.skew * 1e6
             counters["clock_residual_s"] = fit.residual_ns / S
         return counters
-
-    def snapshot(self) -> State:
-        covariance = self._covariance
-        return {
-            "sequences": self.sequences(),
-            "framer": self._framer.snapshot(),
-            "assembler": self._assembler.snapshot(),
-            "timeline": self.timeline.snapshot(),
-            "clock": self.clock.snapshot(),
-            "nmea_clock": self.nmea_clock.snapshot(),
-            "reads": [list(read) for read in self._reads],
-            "decoded": self._decoded,
-            "refused": dict(self._refused),
-            "rank": self._rank,
-            "navigation_time": self._navigation_time,
-            "last_fix": None if self._last_fix is None else dict(self._last_fix),
-            "covariance": None if covariance is None else covariance.SerializeToString(),
-        }
-
-    def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
-        self._framer.restore(state["framer"])
-        self._assembler.restore(state["assembler"])
-        self.timeline.restore(state["timeline"])
-        self.clock.restore(state["clock"])
-        self.nmea_clock.restore(state["nmea_clock"])
-        self._reads = deque((end, arrival_ns) for end, arrival_ns in state["reads"])
-        self._decoded = state["decoded"]
-        self._refused = Counter(state["refused"])
-        self._rank = state["rank"]
-        self._navigation_time = state["navigation_time"]
-        self._last_fix = None if state["last_fix"] is None else dict(state["last_fix"])
-        covariance = state["covariance"]
-        self._covariance = None if covariance is None else GnssCovariance.FromString(covariance)
 
 
 def unix_like_ns(gps_time_ns: int) -> int:

@@ -12,11 +12,12 @@ arrival = epoch + receiver delay + line time + waiting, waiting ≥ 0.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from datetime import date
 from typing import Any
 
 from tramstream.bridges.gnss.ubx import UbxMessage
-from tramstream.clock import GPS_EPOCH_UNIX_S, ClockFit, S
+from tramstream.clock import GPS_EPOCH_UNIX_S, ClockFit, FitMemory, S
 
 WEEK_NS = 604_800 * S
 MS = 1_000_000
@@ -51,13 +52,13 @@ def leap_seconds_on(unix_ns: int) -> int:
     return next((seconds for since, seconds in _LEAP_SECONDS if day >= since), 13)
 
 
+@dataclass
 class GpsTimeline:
-    """Week and leap seconds as the receiver's messages reveal them."""
+    """Week and leap seconds as the receiver's messages reveal them: a memory."""
 
-    def __init__(self) -> None:
-        self.reference_ns: int | None = None
-        """The latest GPS time of which the week was known."""
-        self.leap_seconds: int | None = None
+    reference_ns: int | None = None
+    """The latest GPS time of which the week was known."""
+    leap_seconds: int | None = None
 
     def of(self, message: UbxMessage) -> int | None:
         """GPS time of the epoch that `message` belongs to; None while the week is unknown."""
@@ -117,13 +118,6 @@ class GpsTimeline:
             return None
         return int(week * WEEK_NS + round(tow_s * 1e9))
 
-    def snapshot(self) -> dict[str, Any]:
-        return {"reference_ns": self.reference_ns, "leap_seconds": self.leap_seconds}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.reference_ns = state["reference_ns"]
-        self.leap_seconds = state["leap_seconds"]
-
 
 def solution_utc_ns(fields: dict[str, Any]) -> int:
     """UTC of NAV-PVT, NAV-PVAT or HNR-PVT; 0 unless both date and time are valid."""
@@ -138,6 +132,14 @@ def solution_utc_ns(fields: dict[str, Any]) -> int:
 def _nearest(tow_ns: int, about_ns: int) -> int:
     weeks = (about_ns - tow_ns + WEEK_NS // 2) // WEEK_NS
     return weeks * WEEK_NS + tow_ns
+
+
+@dataclass
+class ArrivalMemory:
+    """What an `ArrivalClock` remembers."""
+
+    fit: FitMemory = field(default_factory=FitMemory)
+    newest_ns: int | None = None
 
 
 class ArrivalClock:
@@ -156,18 +158,20 @@ class ArrivalClock:
     """An epoch this much older than the newest is not an earlier one that comes late (NAV-PVT after
     HNR-PVT), but a jump."""
 
-    def __init__(self, receiver_delay_s: float, baud_rate: int) -> None:
-        self.fit = ClockFit()
+    def __init__(
+        self, receiver_delay_s: float, baud_rate: int, memory: ArrivalMemory | None = None
+    ) -> None:
+        self.memory = ArrivalMemory() if memory is None else memory
+        self.fit = ClockFit(memory=self.memory.fit)
         self._delay_ns = round(receiver_delay_s * S)
         self._byte_ns = 10 * S / baud_rate
-        self._newest_ns: int | None = None
 
     def add(self, device_ns: int, arrival_ns: int, size: int) -> None:
         """Take note that a message of `size` bytes of epoch `device_ns` arrived."""
-        newest_ns = self._newest_ns
+        newest_ns = self.memory.newest_ns
         if newest_ns is not None and newest_ns - self.REORDERED_NS < device_ns <= newest_ns + MS:
             return  # not the first of its epoch; 1 ms: a fraction may follow a whole millisecond
-        self._newest_ns = device_ns
+        self.memory.newest_ns = device_ns
         self.fit.add(device_ns, arrival_ns - self._delay_ns - round(size * self._byte_ns))
 
     def stamp(self, device_ns: int | None, arrival_ns: int) -> int:
@@ -177,13 +181,6 @@ class ArrivalClock:
             if arrival_ns - self.LONGEST_DELAY_NS <= host_ns <= arrival_ns:
                 return in_range(host_ns)
         return in_range(arrival_ns - self._delay_ns)
-
-    def snapshot(self) -> dict[str, Any]:
-        return {"fit": self.fit.snapshot(), "newest_ns": self._newest_ns}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.fit.restore(state["fit"])
-        self._newest_ns = state["newest_ns"]
 
 
 def in_range(stamp_ns: int) -> int:

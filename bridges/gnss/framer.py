@@ -20,9 +20,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import dataclass, field
 from functools import cache, reduce
 from operator import xor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,22 +108,23 @@ class Rejected(NamedTuple):
     size: int
 
 
+@dataclass
 class Framer:
-    """Bytes in, frames out; see the head of the module.
+    """Bytes in, frames out; see the head of the module. It is its own memory.
 
     `bytes_in == bytes_in_frames + bytes_rejected + bytes_pending` at any time. A run of rejected
     bytes is counted at once and reported, as one `Rejected`, when the next possible frame start
     ends it.
     """
 
-    def __init__(self) -> None:
-        self.bytes_in = 0
-        self.bytes_in_frames = 0
-        self.bytes_rejected = 0
-        self.frames = 0
-        self.false_starts: Counter[str] = Counter()
-        self._pending = b""
-        self._run: tuple[str, int] | None = None  # reason and start of the open rejected run
+    bytes_in: int = 0
+    bytes_in_frames: int = 0
+    bytes_rejected: int = 0
+    frames: int = 0
+    false_starts: Counter[str] = field(default_factory=Counter)
+    _pending: bytes = b""
+    _run: tuple[str, int] | None = None
+    """Reason and start of the open rejected run."""
 
     @property
     def bytes_pending(self) -> int:
@@ -146,26 +148,6 @@ class Framer:
         self._scan(b"", out, final=True)
         self._close_run(self.position, out)
         return out
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "bytes_in": self.bytes_in,
-            "bytes_in_frames": self.bytes_in_frames,
-            "bytes_rejected": self.bytes_rejected,
-            "frames": self.frames,
-            "false_starts": dict(self.false_starts),
-            "pending": self._pending,
-            "run": list(self._run) if self._run else None,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.bytes_in = state["bytes_in"]
-        self.bytes_in_frames = state["bytes_in_frames"]
-        self.bytes_rejected = state["bytes_rejected"]
-        self.frames = state["frames"]
-        self.false_starts = Counter(state["false_starts"])
-        self._pending = state["pending"]
-        self._run = tuple(state["run"]) if state["run"] else None
 
     def _scan(self, news: bytes, out: list[Frame | Rejected], final: bool) -> None:
         base = self.position

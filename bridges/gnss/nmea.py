@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from pynmeagps import NMEAReader
@@ -198,16 +198,18 @@ def _deviations(epoch: Epoch) -> tuple[float, float]:
     return horizontal_m, _known(vertical) * RANGE_STD_M
 
 
+@dataclass
 class EpochAssembler:
-    """Sentences in, complete epochs out; see the head of the module."""
+    """Sentences in, complete epochs out; see the head of the module. It is its own memory."""
 
-    def __init__(self) -> None:
-        self._epoch: Epoch | None = None
-        self._complete = False
-        self._seen: list[str] = []  # types of the epoch under way, in order
-        self._end: list[str] = []  # those of the epoch before
-        self._date = 0
-        self._date_time_ns = 0
+    _epoch: Epoch | None = None
+    _complete: bool = False
+    _seen: list[str] = field(default_factory=list)
+    """Types of the epoch under way, in order."""
+    _end: list[str] = field(default_factory=list)
+    """Those of the epoch before."""
+    _date: int = 0
+    _date_time_ns: int = 0
 
     def feed(self, sentence: Sentence, arrival_ns: int, size: int) -> list[Epoch]:
         """Take a sentence, return the epoch or epochs it completes."""
@@ -246,24 +248,6 @@ class EpochAssembler:
             rolled = epoch.time_of_day_ns < self._date_time_ns - _DAY_NS // 2
             epoch.date = self._date + rolled
         self._date, self._date_time_ns = epoch.date, epoch.time_of_day_ns
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "epoch": None if self._epoch is None else asdict(self._epoch),
-            "complete": self._complete,
-            "seen": list(self._seen),
-            "end": list(self._end),
-            "date": self._date,
-            "date_time_ns": self._date_time_ns,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        values = dict(state)
-        epoch = values.pop("epoch")
-        self._epoch = None if epoch is None else Epoch(**{**epoch, "std_m": list(epoch["std_m"])})
-        self._seen, self._end = list(values.pop("seen")), list(values.pop("end"))
-        for name, value in values.items():
-            setattr(self, f"_{name}", value)
 
 
 def _time_of_day_ns(time: datetime.time) -> int:

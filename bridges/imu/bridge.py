@@ -19,6 +19,7 @@ put together into messages makes no difference.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -26,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tramstream import keys
-from tramstream.bridges.imu.framer import FRAME, FRAME_LENGTH, AdisFramer, join
-from tramstream.clock import ClockFit, S
+from tramstream.bridges.imu.framer import FRAME_LENGTH, AdisFramer, join
+from tramstream.clock import ClockFit, FitMemory, S
 from tramstream.config import Imu, Vehicle
 from tramstream.errors import ConfigError
-from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.raw_pb2 import ImuBatch, RawBytes
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -73,11 +74,39 @@ class _Piece(NamedTuple):
     restarted: bool
 
 
+class _Newest(NamedTuple):
+    """The newest sample: sequence and stamp, unwrapped, and the sensor's own counter."""
+
+    sequence: int
+    stamp_us: int
+    counter: int
+
+
+@dataclass
+class BridgeMemory:
+    """What an `ImuBridge` remembers."""
+
+    framer: AdisFramer = field(default_factory=AdisFramer)
+    fit: FitMemory = field(default_factory=FitMemory)
+    last: _Newest | None = None
+    last_arrival_ns: int = 0
+    open: list[NDArray[np.void]] = field(default_factory=list)
+    """Frames of the batch that is not full yet."""
+    open_sequence: int = 0
+    open_first_us: int = 0
+    open_last_us: int = 0
+    decoded: int = 0
+    lost: int = 0
+    notes: dict[str, int] = field(default_factory=dict)
+
+
 class ImuBridge(Processor):
     """ADIS16465 bytes to `ImuBatch`."""
 
     name = "imu"
     Settings = Imu
+    Memory = BridgeMemory
+    memory: BridgeMemory
     inputs = (keys.IMU_BYTES,)
     outputs = (keys.IMU_BATCH,)
 
@@ -91,27 +120,18 @@ class ImuBridge(Processor):
         self._break_us = BREAK_PERIODS * self._period_us
         self._line_ns = round(10 * FRAME_LENGTH * S / config.baud_rate)  # 8N1: 10 bits a byte
         self._model = config.model
-        self._framer = AdisFramer()
-        self._fit = ClockFit()
-        self._last: list[int] | None = None  # newest sample: sequence and stamp, unwrapped; counter
-        self._last_arrival_ns = 0
-        self._open: list[NDArray[np.void]] = []
-        self._open_sequence = 0
-        self._open_first_us = 0
-        self._open_last_us = 0
-        self._decoded = 0
-        self._lost = 0
-        self._notes: dict[str, int] = {}
+        self._fit = ClockFit(memory=self.memory.fit)
 
     def step(self, sample: Sample) -> list[Sample]:
+        memory = self.memory
         out: list[Sample] = []
         for data, arrival_ns in _reads(sample.message):
-            frames = self._framer.feed(data).frames
+            frames = memory.framer.feed(data).frames
             if len(frames):
-                self._decoded += len(frames)
+                memory.decoded += len(frames)
                 self._take(self._cut(frames), arrival_ns, out)
-                self._last_arrival_ns = arrival_ns
-            elif self._open and arrival_ns - self._last_arrival_ns > HOLD_NS:
+                memory.last_arrival_ns = arrival_ns
+            elif memory.open and arrival_ns - memory.last_arrival_ns > HOLD_NS:
                 self._close(out)
         return out
 
@@ -127,40 +147,44 @@ class ImuBridge(Processor):
         for start, end in pairwise(edges):
             part = frames[start:end]
             counter = part["data_cntr"]
-            first = [int(sequence[start]), int(stamp_us[start]), int(counter[0])]
-            contiguous, restarted = self._follow(first)
-            span_us = (int(stamp_us[end - 1]) - int(stamp_us[start])) & U32
-            last_us = first[1] + span_us
-            pieces.append(_Piece(part, first[0], first[1], last_us, contiguous, restarted))
-            self._last = [first[0] + len(part) - 1, last_us, int(counter[-1])]
+            wrapped = _Newest(int(sequence[start]), int(stamp_us[start]), int(counter[0]))
+            first, contiguous, restarted = self._follow(wrapped)
+            span_us = (int(stamp_us[end - 1]) - wrapped.stamp_us) & U32
+            last_us = first.stamp_us + span_us
+            pieces.append(
+                _Piece(part, first.sequence, first.stamp_us, last_us, contiguous, restarted)
+            )
+            self.memory.last = _Newest(first.sequence + len(part) - 1, last_us, int(counter[-1]))
             if len(part) > 1:
                 self._note(NOTE_COUNTER, int(np.count_nonzero(np.diff(counter) != 1)))
         return pieces
 
-    def _follow(self, first: list[int]) -> tuple[bool, bool]:
-        """Unwrap `first` in place by the sample before it: contiguous, restarted."""
-        if self._last is None:
-            return False, False
-        last_sequence, last_us, last_counter = self._last
-        step = (first[0] - last_sequence) & U32
-        interval_us = (first[1] - last_us) & U32
+    def _follow(self, first: _Newest) -> tuple[_Newest, bool, bool]:
+        """Unwrap `first` by the sample before it; whether it is contiguous, and restarted."""
+        memory = self.memory
+        last = memory.last
+        if last is None:
+            return first, False, False
+        step = (first.sequence - last.sequence) & U32
+        interval_us = (first.stamp_us - last.stamp_us) & U32
         expected_us = step * self._period_us
         interval_us += round((expected_us - interval_us) / 2**32) * 2**32  # a silence of hours
         allowed_us = STAMP_SLACK_US + RATE_TOLERANCE * expected_us
         plausible = interval_us > 0 and abs(interval_us - expected_us) < allowed_us < HALF_U32
         if step == 0 or step >= HALF_U32 or not plausible:
             self._note(NOTE_RESTART, 1)
-            return False, True
-        first[0], first[1] = last_sequence + step, last_us + interval_us
-        self._lost += step - 1
-        self._note(NOTE_COUNTER, int((first[2] - last_counter - step) & 0xFFFF != 0))
+            return first, False, True
+        memory.lost += step - 1
+        self._note(NOTE_COUNTER, int((first.counter - last.counter - step) & 0xFFFF != 0))
         paused = step == 1 and interval_us > self._break_us
         self._note(NOTE_PAUSE, int(paused))
-        return step == 1 and not paused, False
+        first = _Newest(last.sequence + step, last.stamp_us + interval_us, first.counter)
+        return first, step == 1 and not paused, False
 
     def _note(self, what: str, count: int) -> None:
+        memory = self.memory
         if count:
-            self._notes[what] = self._notes.get(what, 0) + count
+            memory.notes[what] = memory.notes.get(what, 0) + count
 
     # clock and batches ----------------------------------------------------------------------------
 
@@ -183,34 +207,36 @@ class ImuBridge(Processor):
 
     def _collect(self, piece: _Piece, out: list[Sample]) -> None:
         """Add a piece to the open batch, closing batches as they fill."""
+        memory = self.memory
         stamp_us, count, start = piece.frames["stamp_us"], len(piece.frames), 0
         base_us = int(stamp_us[0])
         while start < count:
             sequence = piece.sequence + start
             end = min(count, start + self._batch - sequence % self._batch)
-            if not self._open:
-                self._open_sequence = sequence
-                self._open_first_us = piece.first_us + ((int(stamp_us[start]) - base_us) & U32)
-            self._open.append(piece.frames[start:end])
-            self._open_last_us = piece.first_us + ((int(stamp_us[end - 1]) - base_us) & U32)
+            if not memory.open:
+                memory.open_sequence = sequence
+                memory.open_first_us = piece.first_us + ((int(stamp_us[start]) - base_us) & U32)
+            memory.open.append(piece.frames[start:end])
+            memory.open_last_us = piece.first_us + ((int(stamp_us[end - 1]) - base_us) & U32)
             if (piece.sequence + end) % self._batch == 0:
                 self._close(out)
             start = end
 
     def _close(self, out: list[Sample]) -> None:
         """Turn the open batch, if there is one, into a sample."""
-        if not self._open:
+        memory = self.memory
+        if not memory.open:
             return
-        frames = self._open[0] if len(self._open) == 1 else join(self._open)
-        self._open = []
-        stamp_ns = self._fit.host_ns(self._open_first_us * 1000)
+        frames = memory.open[0] if len(memory.open) == 1 else join(memory.open)
+        memory.open = []
+        stamp_ns = self._fit.host_ns(memory.open_first_us * 1000)
         period_ns = 1000 * self._period_us
         if len(frames) > 1:
-            last_ns = self._fit.host_ns(self._open_last_us * 1000)
+            last_ns = self._fit.host_ns(memory.open_last_us * 1000)
             period_ns = (last_ns - stamp_ns) / (len(frames) - 1)
         gyro, accel = frames["gyro"].T.tolist(), frames["accel"].T.tolist()
         message = ImuBatch(
-            first_sample_sequence=self._open_sequence,
+            first_sample_sequence=memory.open_sequence,
             period_ns=period_ns,
             gyro_x=gyro[0],
             gyro_y=gyro[1],
@@ -231,10 +257,11 @@ class ImuBridge(Processor):
 
     @property
     def _pending(self) -> int:
-        return sum(len(frames) for frames in self._open)
+        return sum(len(frames) for frames in self.memory.open)
 
     def ledgers(self) -> list[Ledger]:
-        framer, pending = self._framer, self._pending
+        memory = self.memory
+        framer, pending = memory.framer, self._pending
         return [
             Ledger(
                 self.name,
@@ -244,7 +271,7 @@ class ImuBridge(Processor):
                 framer.bytes_rejected,
                 framer.bytes_pending,
             ),
-            Ledger(self.name, "samples", self._decoded, self._decoded - pending, 0, pending),
+            Ledger(self.name, "samples", memory.decoded, memory.decoded - pending, 0, pending),
         ]
 
     def device_counters(self) -> dict[str, Any]:
@@ -253,49 +280,20 @@ class ImuBridge(Processor):
         `rejected_by_reason` also holds what was noticed and kept (restarts, pauses, a DATA_CNTR
         that disagrees), so it may add up to more than `frames_rejected`.
         """
-        reasons = self._framer.rejected_by_reason
+        memory = self.memory
+        reasons = memory.framer.rejected_by_reason
         counters: dict[str, Any] = {
-            "messages_decoded": self._decoded,
+            "messages_decoded": memory.decoded,
             "frames_rejected": sum(reasons.values()),
-            "bytes_rejected": self._framer.bytes_rejected,
-            "samples_lost": self._lost,
-            "rejected_by_reason": {**reasons, **self._notes},
+            "bytes_rejected": memory.framer.bytes_rejected,
+            "samples_lost": memory.lost,
+            "rejected_by_reason": {**reasons, **memory.notes},
         }
         if self._fit.ready:
             counters["clock_offset_s"] = self._fit.offset_ns / S
             counters["clock_skew_ppm"] = self._fit.skew * 1e6
             counters["clock_residual_s"] = self._fit.residual_ns / S
         return counters
-
-    def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "framer": self._framer.snapshot(),
-            "fit": self._fit.snapshot(),
-            "last": list(self._last) if self._last else None,
-            "last_arrival_ns": self._last_arrival_ns,
-            "open": b"".join(frames.tobytes() for frames in self._open),
-            "open_sequence": self._open_sequence,
-            "open_first_us": self._open_first_us,
-            "open_last_us": self._open_last_us,
-            "decoded": self._decoded,
-            "lost": self._lost,
-            "notes": dict(self._notes),
-        }
-
-    def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
-        self._framer.restore(state["framer"])
-        self._fit.restore(state["fit"])
-        self._last = list(state["last"]) if state["last"] else None
-        self._last_arrival_ns = state["last_arrival_ns"]
-        self._open = [np.frombuffer(state["open"], FRAME)] if state["open"] else []
-        self._open_sequence = state["open_sequence"]
-        self._open_first_us = state["open_first_us"]
-        self._open_last_us = state["open_last_us"]
-        self._decoded = state["decoded"]
-        self._lost = state["lost"]
-        self._notes = dict(state["notes"])
 
 
 def _reads(message: RawBytes) -> Iterator[tuple[bytes, int]]:

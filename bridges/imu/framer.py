@@ -17,7 +17,8 @@ from a dead SPI line) it is rejected as a whole.
 from __future__ import annotations
 
 import zlib
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,17 +73,17 @@ class Bursts(NamedTuple):
     rejected: list[Rejected]
 
 
+@dataclass
 class AdisFramer:
-    """Find frames in a stream of bytes; equal results for any split of it.
+    """Find frames in a stream of bytes; equal results for any split of it. It is its own memory.
 
     Bytes fed = `bytes_framed` + `bytes_rejected` + bytes pending, at any instant.
     """
 
-    def __init__(self) -> None:
-        self._buffer = b""
-        self.bytes_framed = 0
-        self.bytes_rejected = 0
-        self.rejected_by_reason: dict[str, int] = {}
+    bytes_framed: int = 0
+    bytes_rejected: int = 0
+    rejected_by_reason: dict[str, int] = field(default_factory=dict)
+    _buffer: bytes = b""
 
     @property
     def bytes_pending(self) -> int:
@@ -136,20 +137,6 @@ class AdisFramer:
         self.bytes_rejected += int((~good).sum()) * FRAME_LENGTH
         kept: NDArray[np.void] = frames[good]
         return kept
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "buffer": self._buffer,
-            "bytes_framed": self.bytes_framed,
-            "bytes_rejected": self.bytes_rejected,
-            "rejected_by_reason": dict(self.rejected_by_reason),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._buffer = state["buffer"]
-        self.bytes_framed = state["bytes_framed"]
-        self.bytes_rejected = state["bytes_rejected"]
-        self.rejected_by_reason = dict(state["rejected_by_reason"])
 
 
 def join(runs: list[NDArray[np.void]]) -> NDArray[np.void]:

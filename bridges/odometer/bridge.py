@@ -13,6 +13,7 @@ A frame that cannot be used (too short, remote, an error frame, not a number) is
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Any
 
 from tramstream import keys
@@ -28,7 +29,7 @@ from tramstream.clock import S
 from tramstream.config import Odometer, Signal, Vehicle
 from tramstream.config import Wheel as WheelConfig
 from tramstream.errors import ConfigError
-from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.raw_pb2 import CanFrames, Odometry
 
 REJECT_REMOTE = "remote frame"
@@ -36,41 +37,52 @@ REJECT_SHORT = "frame too short"
 REJECT_NAN = "not a number"
 
 
-class _Wheel:
+@dataclass
+class WheelMemory:
     """What is known of one wheel."""
 
-    def __init__(self, name: str, config: WheelConfig, field: Field) -> None:
+    total: float = 0
+    """Pulses before scaling; for a counter before the DBC's too."""
+    counter: int | None = None
+    speed_mps: float = 0.0
+    values: int = 0
+    """Since the last reading."""
+    seen_ns: int = 0
+
+
+class _Wheel:
+    """One wheel as configured, and what is known of it."""
+
+    def __init__(self, name: str, config: WheelConfig, signal: Field, memory: WheelMemory) -> None:
         self.name = name
         self.kind = config.kind
-        self.field = field
+        self.signal = signal
         self.scale = config.scale
         self.range = 1 << config.counter_bits
-        self.total: float = 0  # pulses before scaling; for a counter before the DBC's too
-        self.counter: int | None = None
-        self.speed_mps = 0.0
-        self.values = 0  # since the last reading
-        self.seen_ns = 0
+        self.memory = memory
 
-    def take(self, value: float, data: bytes) -> None:
+    def take(self, value: float, data: bytes, stamp_ns: int) -> None:
         """Take the physical value of a frame."""
+        memory = self.memory
         if self.kind == "speed":
-            self.speed_mps = value * self.scale
+            memory.speed_mps = value * self.scale
         elif self.kind == "pulses":
-            self.total += value
+            memory.total += value
         else:
-            raw = self.field.raw(data)
+            raw = self.signal.raw(data)
             assert raw is not None  # the caller has its physical value
             counter = int(raw)
-            if self.counter is not None:
+            if memory.counter is not None:
                 half = self.range // 2
-                self.total += (counter - self.counter + half) % self.range - half
-            self.counter = counter
-        self.values += 1
+                memory.total += (counter - memory.counter + half) % self.range - half
+            memory.counter = counter
+        memory.values += 1
+        memory.seen_ns = stamp_ns
 
     @property
     def pulses(self) -> int:
-        scale = self.scale * self.field.scale if self.kind == "counter" else self.scale
-        return round(self.total * scale)
+        scale = self.scale * self.signal.scale if self.kind == "counter" else self.scale
+        return round(self.memory.total * scale)
 
 
 class _Plan:
@@ -82,11 +94,30 @@ class _Plan:
         self.bytes_needed = 0
 
 
+@dataclass
+class BridgeMemory:
+    """What an `OdometerBridge` remembers."""
+
+    wheels: dict[str, WheelMemory] = field(default_factory=dict)
+    """By name, those that are configured."""
+    known: dict[str, float] = field(default_factory=dict)
+    """Doors and motor force."""
+    decoded: int = 0
+    passed_over: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)
+    bytes_rejected: int = 0
+    frames_lost: int = 0
+    values_published: int = 0
+    values_replaced: int = 0
+
+
 class OdometerBridge(Processor):
     """`CanFrames` to `Odometry`."""
 
     name = "odometer"
     Settings = Odometer
+    Memory = BridgeMemory
+    memory: BridgeMemory
     inputs = (keys.ODO_FRAMES,)
     outputs = (keys.ODO_WHEELS,)
 
@@ -98,14 +129,6 @@ class OdometerBridge(Processor):
         self._plans: dict[int, _Plan] = {}
         self._silence_ns = int(vehicle.odometer.silence_s * S)
         self._compile(vehicle.odometer)
-        self._known: dict[str, float] = {}  # doors_open, motor_force_n
-        self._decoded = 0
-        self._passed_over = 0
-        self._rejected: dict[str, int] = {}
-        self._bytes_rejected = 0
-        self._frames_lost = 0
-        self._values_published = 0
-        self._values_replaced = 0
 
     def _compile(self, config: Odometer) -> None:
         """Look up the configured signals in the DBC."""
@@ -114,23 +137,24 @@ class OdometerBridge(Processor):
         database = Database(config.dbc, "$.odometer.dbc")
         for name, wheel in config.wheels.items():
             where = f"$.odometer.wheels.{name}"
-            key, field = database.find(wheel.message, wheel.signal, where)
-            if wheel.kind == "counter" and wheel.counter_bits > field.length:
+            key, found = database.find(wheel.message, wheel.signal, where)
+            if wheel.kind == "counter" and wheel.counter_bits > found.length:
                 raise ConfigError(
                     f"{where}.counter_bits: {wheel.counter_bits}, but signal '{wheel.signal}' has "
-                    f"{field.length} bits in {config.dbc}"
+                    f"{found.length} bits in {config.dbc}"
                 )
-            self._wheels.append(_Wheel(name, wheel, field))
-            self._plan(key, field).wheels.append(self._wheels[-1])
+            memory = self.memory.wheels[name] = WheelMemory()
+            self._wheels.append(_Wheel(name, wheel, found, memory))
+            self._plan(key, found).wheels.append(self._wheels[-1])
         for what in ("doors_open", "motor_force_n"):
             signal: Signal | None = getattr(config, what)
             if signal is not None:
-                key, field = database.find(signal.message, signal.signal, f"$.odometer.{what}")
-                self._plan(key, field).signals.append((what, field, signal.scale))
+                key, found = database.find(signal.message, signal.signal, f"$.odometer.{what}")
+                self._plan(key, found).signals.append((what, found, signal.scale))
 
-    def _plan(self, key: int, field: Field) -> _Plan:
+    def _plan(self, key: int, signal: Field) -> _Plan:
         plan = self._plans.setdefault(key, _Plan())
-        plan.bytes_needed = max(plan.bytes_needed, field.bytes_needed)
+        plan.bytes_needed = max(plan.bytes_needed, signal.bytes_needed)
         return plan
 
     def step(self, sample: Sample) -> list[Sample]:
@@ -143,7 +167,7 @@ class OdometerBridge(Processor):
                 continue
             plan = self._plans.get(id_ | EXTENDED_ID if flags & EXTENDED else id_)
             if plan is None:
-                self._passed_over += 1
+                self.memory.passed_over += 1
             elif flags & REMOTE:
                 self._reject(REJECT_REMOTE, data)
             elif len(data) < plan.bytes_needed:
@@ -156,58 +180,62 @@ class OdometerBridge(Processor):
 
     def _complete(self, stamp_ns: int) -> bool:
         """Whether every wheel that is not silent has been seen since the last reading."""
-        for wheel in self._wheels:
+        wheels = self.memory.wheels.values()
+        for wheel in wheels:
             wheel.seen_ns = wheel.seen_ns or stamp_ns  # silence begins with the first frame
         silent_ns = stamp_ns - self._silence_ns
-        return all(wheel.values or wheel.seen_ns < silent_ns for wheel in self._wheels)
+        return all(wheel.values or wheel.seen_ns < silent_ns for wheel in wheels)
 
     def _decode(self, plan: _Plan, data: bytes, stamp_ns: int) -> bool:
         """Take a frame's values; whether a wheel was among them."""
-        found = [(wheel, wheel.field.physical(data)) for wheel in plan.wheels]
-        known = [(what, field.physical(data), scale) for what, field, scale in plan.signals]
+        memory = self.memory
+        found = [(wheel, wheel.signal.physical(data)) for wheel in plan.wheels]
+        known = [(what, signal.physical(data), scale) for what, signal, scale in plan.signals]
         values = [value for _, value in found] + [value for _, value, _ in known]
         if not all(value is None or math.isfinite(value) for value in values):
             self._reject(REJECT_NAN, data)
             return False
-        self._decoded += 1
+        memory.decoded += 1
         for what, value, scale in known:
             if value is not None:
-                self._known[what] = value * scale
+                memory.known[what] = value * scale
         seen = False
         for wheel, value in found:
             if value is not None:
-                wheel.take(value, data)
-                wheel.seen_ns = stamp_ns
+                wheel.take(value, data, stamp_ns)
                 seen = True
         return seen
 
     def _publish(self, stamp_ns: int) -> Sample:
+        memory = self.memory
         message = Odometry()
         for wheel in self._wheels:
-            if not wheel.values:
+            values = wheel.memory.values
+            if not values:
                 continue  # silent: better no reading than an old one
             if wheel.kind == "speed":
-                message.wheels.add(wheel=wheel.name, speed_mps=wheel.speed_mps)
-                self._values_replaced += wheel.values - 1
-                self._values_published += 1
+                message.wheels.add(wheel=wheel.name, speed_mps=wheel.memory.speed_mps)
+                memory.values_replaced += values - 1
+                memory.values_published += 1
             else:
                 message.wheels.add(wheel=wheel.name, pulses=wheel.pulses)
-                self._values_published += wheel.values
-            wheel.values = 0
-        if "doors_open" in self._known:
-            message.doors_open = self._known["doors_open"] >= 0.5
-        if "motor_force_n" in self._known:
-            message.motor_force_n = self._known["motor_force_n"]
+                memory.values_published += values
+            wheel.memory.values = 0
+        if "doors_open" in memory.known:
+            message.doors_open = memory.known["doors_open"] >= 0.5
+        if "motor_force_n" in memory.known:
+            message.motor_force_n = memory.known["motor_force_n"]
         return self.emit(keys.ODO_WHEELS, message, stamp_ns)
 
     def _take_error(self, id_: int, data: bytes) -> None:
         if id_ & HOST_OVERFLOW:
-            self._frames_lost += int.from_bytes(data, "big")
+            self.memory.frames_lost += int.from_bytes(data, "big")
         self._reject(classify_error(id_, data), data)
 
     def _reject(self, reason: str, data: bytes) -> None:
-        self._rejected[reason] = self._rejected.get(reason, 0) + 1
-        self._bytes_rejected += len(data)
+        memory = self.memory
+        memory.rejected[reason] = memory.rejected.get(reason, 0) + 1
+        memory.bytes_rejected += len(data)
 
     def ledgers(self) -> list[Ledger]:
         """Frames: delivered counts those that carry nothing configured too, they are passed over.
@@ -215,10 +243,11 @@ class OdometerBridge(Processor):
         Readings: values of wheels; pulses that wait are added up, a speed that waits is dropped
         when a newer one comes.
         """
-        rejected = sum(self._rejected.values())
-        delivered = self._decoded + self._passed_over
-        pending = sum(wheel.values for wheel in self._wheels)
-        published, replaced = self._values_published, self._values_replaced
+        memory = self.memory
+        rejected = sum(memory.rejected.values())
+        delivered = memory.decoded + memory.passed_over
+        pending = sum(wheel.values for wheel in memory.wheels.values())
+        published, replaced = memory.values_published, memory.values_replaced
         received = published + replaced + pending
         return [
             Ledger(self.name, "frames", delivered + rejected, delivered, rejected),
@@ -227,47 +256,11 @@ class OdometerBridge(Processor):
 
     def device_counters(self) -> dict[str, Any]:
         """Figures of `DeviceHealth`, under its field names; error frames count as rejected."""
+        memory = self.memory
         return {
-            "messages_decoded": self._decoded,
-            "frames_rejected": sum(self._rejected.values()),
-            "bytes_rejected": self._bytes_rejected,
-            "samples_lost": self._frames_lost,
-            "rejected_by_reason": dict(self._rejected),
+            "messages_decoded": memory.decoded,
+            "frames_rejected": sum(memory.rejected.values()),
+            "bytes_rejected": memory.bytes_rejected,
+            "samples_lost": memory.frames_lost,
+            "rejected_by_reason": dict(memory.rejected),
         }
-
-    def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "wheels": {
-                wheel.name: {
-                    "total": wheel.total,
-                    "counter": wheel.counter,
-                    "speed_mps": wheel.speed_mps,
-                    "values": wheel.values,
-                    "seen_ns": wheel.seen_ns,
-                }
-                for wheel in self._wheels
-            },
-            "known": dict(self._known),
-            "decoded": self._decoded,
-            "passed_over": self._passed_over,
-            "rejected": dict(self._rejected),
-            "bytes_rejected": self._bytes_rejected,
-            "frames_lost": self._frames_lost,
-            "values_published": self._values_published,
-            "values_replaced": self._values_replaced,
-        }
-
-    def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
-        for wheel in self._wheels:
-            for name, value in state["wheels"].get(wheel.name, {}).items():
-                setattr(wheel, name, value)
-        self._known = dict(state["known"])
-        self._decoded = state["decoded"]
-        self._passed_over = state["passed_over"]
-        self._rejected = dict(state["rejected"])
-        self._bytes_rejected = state["bytes_rejected"]
-        self._frames_lost = state["frames_lost"]
-        self._values_published = state["values_published"]
-        self._values_replaced = state["values_replaced"]

@@ -25,6 +25,7 @@ from tramstream.bridges.gnss.framer import (
     rtcm3_frame,
     ubx_frame,
 )
+from tramstream.memory.stage import assign
 
 MON_PATCH = 0x0A27
 NAV_PVT = 0x0107
@@ -116,7 +117,7 @@ def test_bytes_balance_at_any_time_and_memory_can_be_moved(
     framer, moved = Framer(), Framer()
     for count, piece in enumerate(pieces):
         if count == moved_at:
-            moved.restore(framer.snapshot())
+            assign(moved, framer)
         out = framer.feed(piece)
         if count >= moved_at:
             assert moved.feed(piece) == out

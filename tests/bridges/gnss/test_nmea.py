@@ -18,6 +18,7 @@ from tramstream.bridges.gnss.nmea import (
     parse,
     sentence_type,
 )
+from tramstream.memory.stage import copied
 from tramstream.proto.gnss_pb2 import GnssFix
 
 CENTIMETRE = 0.01
@@ -177,8 +178,7 @@ def test_memory_can_be_moved_anywhere() -> None:
         out: list[Epoch] = []
         for number, text in enumerate(stream):
             if number == moved_at:
-                state, assembler = assembler.snapshot(), EpochAssembler()
-                assembler.restore(state)
+                assembler = copied(assembler)
             sentence = parse(frame(text))
             assert not isinstance(sentence, Rejected)
             out += assembler.feed(sentence, number, len(text))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tramstream.bridges.imu import framer as adis
 from tramstream.bridges.imu.framer import FRAME_LENGTH, AdisFramer, Bursts, Rejected
+from tramstream.memory.stage import assign
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "imu-framing.md"
 
@@ -75,7 +76,7 @@ def test_any_split_gives_what_the_whole_gives(data: bytes, cuts: list[int]) -> N
     assert good == scan(data)
     parts_good, parts_rejected, parts_framer = feed_in_parts(data, cuts)
     assert (parts_good, parts_rejected) == (good, rejected)
-    assert parts_framer.snapshot() == framer.snapshot()
+    assert parts_framer == framer
     assert framer.bytes_framed == len(good)
     assert framer.bytes_pending < FRAME_LENGTH
     assert sum(framer.rejected_by_reason.values()) == len(rejected)
@@ -200,10 +201,10 @@ def test_restored_framer_goes_on_at_any_byte() -> None:
     for cut in range(len(data)):
         first, second = AdisFramer(), AdisFramer()
         head = first.feed(data[:cut])
-        second.restore(first.snapshot())
+        assign(second, first)
         tail = second.feed(data[cut:])
         assert joined(head, tail) == joined(expected)
-        assert second.snapshot() == whole.snapshot()
+        assert second == whole
 
 
 def joined(*parts: Bursts) -> tuple[bytes, list[Rejected]]:
