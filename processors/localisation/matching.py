@@ -12,12 +12,13 @@ from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.estimation.localiser import Estimate, OnTrack
 from tramstream.geodesy import LocalLevel
+from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import State
 from tramstream.processors.matching.matcher import Match, Matcher
 from tramstream.proto.estimate_pb2 import MapAlternative, MapMatch
 from tramstream.tracks import network as networks
 from tramstream.tracks.linear_reference import references
-from tramstream.tracks.map_frame import MapFrame
+from tramstream.tracks.map_frame import FrameMemory, MapFrame
 from tramstream.tracks.network import PARTNER_LEFT, PARTNER_RIGHT, Network
 from tramstream.tracks.rails import sample_at
 
@@ -94,7 +95,7 @@ class Matched:
         matcher, frame = self._matcher, self._frame
         return {
             "matcher": None if matcher is None else matcher.snapshot(),
-            "frame": None if frame is None else frame.snapshot(),
+            "frame": None if frame is None else to_plain(frame.memory),
             "told_far": self._told_far,
         }
 
@@ -106,7 +107,7 @@ class Matched:
         self._matcher.restore(state["matcher"])
         if state["frame"] is not None and level is not None:
             self._frame = MapFrame(self._matcher.network, level)
-            self._frame.restore(state["frame"])
+            assign(self._frame.memory, from_plain(FrameMemory, state["frame"]))
 
 
 def message_of(matcher: Matcher, match: Match, frame: MapFrame, standing: bool) -> MapMatch:

@@ -22,7 +22,8 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Ekf, Vehicle
 from tramstream.estimation.localiser import Estimate, Localiser
-from tramstream.estimation.published import Places
+from tramstream.estimation.published import Places, PlacesMemory
+from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.localisation.matching import Matched, location_of
 from tramstream.processors.localisation.models import localiser, traced
@@ -232,7 +233,7 @@ class LocalisationFilter(Processor):
             "match_count": self._match_count,
             "now_count": self._now_count,
             "now_ns": self._now_ns,
-            "places": None if self._places is None else self._places.snapshot(),
+            "places": None if self._places is None else to_plain(self._places.memory),
         }
 
     def restore(self, state: State) -> None:
@@ -247,7 +248,7 @@ class LocalisationFilter(Processor):
             self._map.restore(state["map"], level)
         if state["places"] is not None and level is not None:
             self._places = Places(level)
-            self._places.restore(state["places"])
+            assign(self._places.memory, from_plain(PlacesMemory, state["places"]))
 
 
 def _location(state: MotionState) -> LocationFix:

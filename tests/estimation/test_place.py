@@ -10,6 +10,7 @@ import pytest
 from tramstream.estimation.localiser import HEADING_UNKNOWN, TRACKING, Estimate, values_of
 from tramstream.estimation.published import Places
 from tramstream.geodesy import LocalLevel, convergence_rad
+from tramstream.memory.stage import copied
 
 LEVEL = LocalLevel.at_deg(50.0, 14.4, 250.0)
 TENTH_MM_DEG = math.degrees(1e-4 / 6.4e6)
@@ -87,10 +88,9 @@ def test_negative_variance_is_not_described() -> None:
 
 
 def test_restored_places_go_on_to_the_last_digit() -> None:
-    one, other = Places(LEVEL), Places(LEVEL)
-    other.restore(one.snapshot())
+    one = Places(LEVEL)
     one.describe(estimate((100.0, 50.0, 1.0)), 1.0)
-    other.restore(one.snapshot())
+    other = Places(LEVEL, copied(one.memory))
     next_ = estimate((105.0, 55.0, 1.1))
     first, second = one.describe(next_, 1.0), other.describe(next_, 1.0)
     assert first is not None

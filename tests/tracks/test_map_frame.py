@@ -10,6 +10,7 @@ from networks import laid as laid_line
 from networks import network_of, straight
 
 from tramstream.geodesy import LocalLevel, convergence_rad
+from tramstream.memory.stage import assign, copied
 from tramstream.tracks.map_frame import MOVED_M, MapFrame
 from tramstream.tracks.network import Network
 from tramstream.tracks.rails import Search
@@ -113,8 +114,7 @@ def test_restored_frame_is_the_same_to_the_last_bit() -> None:
     rng = np.random.default_rng(3)
     for place in rng.uniform(-500.0, 500.0, (10, 3)):
         frame.follow(*place)
-    other = MapFrame(network, level)
-    other.restore(frame.snapshot())
+    other = MapFrame(network, level, copied(frame.memory))
     for place in rng.uniform(-500.0, 500.0, (10, 3)):
         np.testing.assert_array_equal(other.numbers, frame.numbers)
         assert other.geodetic_deg(10.0, 20.0) == frame.geodetic_deg(10.0, 20.0)
@@ -125,17 +125,9 @@ def test_restored_frame_is_the_same_to_the_last_bit() -> None:
 def test_frame_that_was_nowhere_yet_is_restored() -> None:
     network = network_at(PLACE)
     frame = MapFrame(network, PLACE)
-    frame.restore(MapFrame(network, PLACE).snapshot())
+    assign(frame.memory, MapFrame(network, PLACE).memory)
     frame.follow(5.0, 6.0, 7.0)
     assert np.isfinite(frame.numbers).all()
-
-
-def test_snapshot_shares_nothing_with_the_frame() -> None:
-    frame = MapFrame(network_at(PLACE), PLACE)
-    frame.follow(0.0, 0.0, 0.0)
-    kept = frame.snapshot()
-    frame.follow(5e3, 0.0, 0.0)
-    assert kept == [0.0, 0.0, 0.0]
 
 
 def test_place_beside_a_track_keeps_its_distance_from_it() -> None:

@@ -13,6 +13,7 @@ Equations: docs/theory.md, sections 2.2 and 13.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,21 +55,19 @@ FIELDS = {
 """Numbers of a `MotionState`, in the order in which `_describe` finds them."""
 _EMPTY, _PLACES = encode.doubles(MotionState, FIELDS)
 SIZE = len(_PLACES)
-NEAR, C, GEODETIC, RADII, FOUND = 0, 3, 12, 15, 19
-"""In the constants: the last exact position, turn into its level, geodetic place, radii. Behind
-them the numbers that are found."""
+NEAR, C, GEODETIC, RADII, CONSTANTS = 0, 3, 12, 15, 19
+"""In the constants: the last exact position, turn into its level, geodetic place, radii."""
 DESCRIBED, UNSOUND, AWAY = range(3)
 """What came of it: all is there; something is no number; the last exact position is too far off."""
 
 
 @compiled
 def _describe(
-    constants: Array, values: Array, quantile: float, any_heading: bool, encoded: Bytes
+    near: Array, values: Array, quantile: float, any_heading: bool, out: Array, encoded: Bytes
 ) -> int:
     motion, P = values[:ACCELERATION], values[COVARIANCE:].reshape((7, 7))
     if not sound(motion, P):
         return UNSOUND
-    near, out = constants[:FOUND], constants[FOUND:]
     e, n, u = motion[0] - near[0], motion[1] - near[1], motion[2] - near[2]
     if not (abs(e) < STEP_M and abs(n) < STEP_M and abs(u) < STEP_M):
         return AWAY
@@ -114,24 +113,45 @@ def _describe(
     return DESCRIBED
 
 
-class Places:
-    """Places near the last exact one, in one frame `l`."""
+def _nowhere() -> Array:
+    near = np.zeros(CONSTANTS)
+    near[NEAR:C] = math.inf
+    return near
 
-    def __init__(self, level: LocalLevel) -> None:
+
+@dataclass
+class PlacesMemory:
+    """Where the last exact conversion was: from it all others follow to the last digit."""
+
+    near: Array = field(default_factory=_nowhere)
+    """Position in `l`, turn into its own level, geodetic place, radii; shape (19,)."""
+
+
+class Places:
+    """Places near the last exact one, in one frame `l`.
+
+    Parameters
+    ----------
+    level : LocalLevel
+    memory : PlacesMemory or None
+        Part of its owner's memory; one of its own by default.
+    """
+
+    def __init__(self, level: LocalLevel, memory: PlacesMemory | None = None) -> None:
         self.level = level
-        self._constants = np.zeros(FOUND + SIZE)
-        self._constants[NEAR:C] = math.inf
+        self.memory = PlacesMemory() if memory is None else memory
+        self._found = np.zeros(SIZE)
         self._encoded = _EMPTY.copy()
 
     def _move(self, east: float, north: float, up: float) -> None:
         latitude, longitude, height = self.level.to_geodetic((east, north, up)).tolist()
         here = LocalLevel(latitude, longitude, height)
         w = math.sqrt(1.0 - geodesy.E2 * math.sin(latitude) ** 2)
-        near = self._constants
+        near = self.memory.near
         near[NEAR:C] = east, north, up
         near[C:GEODETIC] = (here.C_le @ self.level.C_le.T).ravel()
         near[GEODETIC:RADII] = latitude, longitude, height
-        near[RADII:FOUND] = (
+        near[RADII:CONSTANTS] = (
             geodesy.SEMI_MAJOR_M * (1.0 - geodesy.E2) / w**3 + height,
             geodesy.SEMI_MAJOR_M / w + height,
             math.cos(latitude),
@@ -148,18 +168,10 @@ class Places:
             heading is not known, those are the greatest of any direction.
         """
         any_heading = estimate.mode == HEADING_UNKNOWN
-        constants, encoded = self._constants, self._encoded
-        found = _describe(constants, estimate.values, quantile, any_heading, encoded)
+        numbers = self.memory.near, estimate.values, quantile, any_heading, self._found
+        encoded = self._encoded
+        found = _describe(*numbers, encoded)
         if found == AWAY:
             self._move(*estimate.p_l)
-            found = _describe(constants, estimate.values, quantile, any_heading, encoded)
+            found = _describe(*numbers, encoded)
         return MotionState.FromString(encoded.tobytes()) if found == DESCRIBED else None
-
-    def snapshot(self) -> list[float]:
-        """Where the last exact conversion was: from it all others follow to the last digit."""
-        at: list[float] = self._constants[NEAR:C].tolist()
-        return at
-
-    def restore(self, at: list[float]) -> None:
-        if math.isfinite(sum(at)):
-            self._move(*at)

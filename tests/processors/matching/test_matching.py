@@ -31,6 +31,7 @@ from tramstream.clock import S
 from tramstream.config import Map
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, values_of
 from tramstream.lines.line import Line
+from tramstream.memory.stage import copied
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching.matcher import Match, Matcher
 from tramstream.tracks.map_frame import MapFrame
@@ -696,12 +697,11 @@ def test_restored_matcher_says_the_same_to_the_last_bit(at: int) -> None:
     matcher, frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL)
     for estimate in drive.estimates[:at]:
         matcher.step(estimate, frame)
-    kept, laid_at = matcher.snapshot(), frame.snapshot()
+    kept, laid = matcher.snapshot(), copied(frame.memory)
     rest: Sequence = drive.estimates[at : at + 800]
     expected = [repr(matcher.step(each, frame)) for each in rest]
-    other, other_frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL)
+    other, other_frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL, laid)
     other.restore(kept)
-    other_frame.restore(laid_at)
     assert [repr(other.step(each, other_frame)) for each in rest] == expected
 
 
