@@ -74,6 +74,11 @@ def reprocess(
             f"{file}: the record's memory was made with other settings, so the processors begin "
             f"afresh with the new ones ({result.forgotten} of {result.sessions} sessions)"
         )
+    if result.unfit:
+        say(
+            f"{file}: the record's memory is of other processors or of another version of them, so "
+            f"they begin afresh ({result.unfit} of {result.sessions} sessions)"
+        )
     if left_out_ := left_out(result.undecodable.items()):
         say(f"{file}: {left_out_}, as live")
     for path, count in result.missing.items():
@@ -93,7 +98,7 @@ def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
         "speed": result.duration_s / elapsed_s if elapsed_s else 0.0,
         "inputs_missing": result.missing,
         "undecodable": result.undecodable,
-        "sessions_afresh": result.forgotten,
+        "sessions_afresh": result.forgotten + result.unfit,
     }
     comparison = result.comparison
     if comparison is not None:

@@ -361,7 +361,6 @@ def test_every_entry_point_names_a_module_of_ours() -> None:
 
 
 OWN_BYTES = {
-    "bridges/gnss/bridge.py",
     "processors/resampling/resampler.py",
     "processors/tram/localiser.py",
     "processors/tram/heading.py",

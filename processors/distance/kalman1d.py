@@ -11,6 +11,7 @@ become arrays only when somebody asks for the attribute.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,32 +56,53 @@ class _Matrix:
         setattr(owner, self._place, tuple(numbers.ravel().tolist()))
 
 
+class _Remembered(_Matrix):
+    """One that is kept in the filter's memory."""
+
+    def __get__(self, owner: Any, type_: type | None = None) -> Any:
+        return self if owner is None else super().__get__(owner.memory)
+
+    def __set__(self, owner: Any, value: Any) -> None:
+        super().__set__(owner.memory, value)
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._place = name
+
+
+@dataclass
+class Belief:
+    """What a `TwoStateFilter` remembers: mean and covariance as numbers, row by row."""
+
+    x: tuple[float, float] = (0.0, 0.0)
+    P: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
 class TwoStateFilter(KalmanFilter):  # type: ignore[misc]  # filterpy has no types
     """filterpy's filter of two states and one measurement, written out; same attributes.
 
     P is symmetric. What is rare (control input, fading memory, no measurement) goes to filterpy.
     """
 
-    x, P = _Matrix(2, 1), _Matrix(2, 2)
+    x, P = _Remembered(2, 1), _Remembered(2, 2)
     x_prior, P_prior = _Matrix(2, 1), _Matrix(2, 2)
     x_post, P_post = _Matrix(2, 1), _Matrix(2, 2)
     K = _Matrix(2, 1)
     z, y, S, SI = _Matrix(1, 1), _Matrix(1, 1), _Matrix(1, 1), _Matrix(1, 1)
-    _x_numbers: tuple[float, float]
-    _P_numbers: tuple[float, float, float, float]
 
-    def __init__(self) -> None:
+    def __init__(self, memory: Belief | None = None) -> None:
+        self.memory = Belief()
         super().__init__(dim_x=2, dim_z=1)
+        self.memory = memory or self.memory
 
     @property
     def state(self) -> tuple[float, float]:
         """x as numbers."""
-        return self._x_numbers
+        return self.memory.x
 
     @property
     def covariance(self) -> tuple[float, float, float, float]:
         """P as numbers, row by row."""
-        return self._P_numbers
+        return self.memory.P
 
     def predict(self, u: Any = None, B: Any = None, F: Any = None, Q: Any = None) -> None:
         """x = Fx, P = FPFᵀ + Q."""
@@ -89,25 +111,25 @@ class TwoStateFilter(KalmanFilter):  # type: ignore[misc]  # filterpy has no typ
             return
         (f00, f01), (f10, f11) = (self.F if F is None else F).tolist()
         (q00, q01), (_, q11) = (self.Q if Q is None else Q).tolist()
-        s, v = self._x_numbers
-        p00, p01, _, p11 = self._P_numbers
+        s, v = self.memory.x
+        p00, p01, _, p11 = self.memory.P
         a, b = f00 * p00 + f01 * p01, f00 * p01 + f01 * p11  # FP, row by row
         c, d = f10 * p00 + f11 * p01, f10 * p01 + f11 * p11
         cross = a * f10 + b * f11 + q01
         x = (f00 * s + f01 * v, f10 * s + f11 * v)
         P = (a * f00 + b * f01 + q00, cross, cross, c * f10 + d * f11 + q11)
-        self._x_numbers = self._x_prior_numbers = x
-        self._P_numbers = self._P_prior_numbers = P
+        self.memory.x = self._x_prior_numbers = x
+        self.memory.P = self._P_prior_numbers = P
 
     def move(self, dt_s: float, acceleration_std_mps2: float) -> None:
         """Predict with `transition` and `acceleration_noise`, to the same bits."""
-        s, v = self._x_numbers
-        p00, p01, _, p11 = self._P_numbers
+        s, v = self.memory.x
+        p00, p01, _, p11 = self.memory.P
         q_s, q_v = _noise_gain(dt_s, acceleration_std_mps2)
         b = p01 + dt_s * p11
         cross = b + q_s * q_v
-        self._x_numbers = self._x_prior_numbers = (s + dt_s * v, v)
-        self._P_numbers = self._P_prior_numbers = (
+        self.memory.x = self._x_prior_numbers = (s + dt_s * v, v)
+        self.memory.P = self._P_prior_numbers = (
             p00 + dt_s * p01 + b * dt_s + q_s * q_s,
             cross,
             cross,
@@ -127,8 +149,8 @@ class TwoStateFilter(KalmanFilter):  # type: ignore[misc]  # filterpy has no typ
             return None
         z, R = _scalar(z), _scalar(self.R if R is None else R)
         ((h0, h1),) = (self.H if H is None else H).tolist()
-        s, v = self._x_numbers
-        p00, p01, _, p11 = self._P_numbers
+        s, v = self.memory.x
+        p00, p01, _, p11 = self.memory.P
         g0, g1 = p00 * h0 + p01 * h1, p01 * h0 + p11 * h1  # PHᵀ
         y, S = z - (h0 * s + h1 * v), h0 * g0 + h1 * g1 + R
         if not y * y <= gate_sigma * gate_sigma * S:  # refuses what is not a number, too
@@ -138,8 +160,8 @@ class TwoStateFilter(KalmanFilter):  # type: ignore[misc]  # filterpy has no typ
         a, b = i00 * p00 + i01 * p01, i00 * p01 + i01 * p11  # (I − KH)P, row by row
         c, d = i10 * p00 + i11 * p01, i10 * p01 + i11 * p11
         cross = a * i10 + b * i11 + k0 * R * k1
-        self._x_numbers = self._x_post_numbers = (s + k0 * y, v + k1 * y)
-        self._P_numbers = self._P_post_numbers = (
+        self.memory.x = self._x_post_numbers = (s + k0 * y, v + k1 * y)
+        self.memory.P = self._P_post_numbers = (
             a * i00 + b * i01 + k0 * R * k0,
             cross,
             cross,
@@ -157,9 +179,9 @@ def _scalar(value: Any) -> float:
     return value if isinstance(value, float) else float(np.asarray(value).item())
 
 
-def distance_filter(x: Array, P: Array) -> TwoStateFilter:
+def distance_filter(x: Array, P: Array, memory: Belief | None = None) -> TwoStateFilter:
     """A filterpy filter for (s, ṡ) at `x`, shape (2,), with covariance `P`, shape (2, 2)."""
-    kalman = TwoStateFilter()
+    kalman = TwoStateFilter(memory)
     kalman.x = np.array(x, dtype=float).reshape(2, 1)
     kalman.P = np.array(P, dtype=float)
     return kalman

@@ -15,6 +15,7 @@ Equations: docs/theory.md, section 9.2.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from math import sqrt
 from operator import attrgetter
 from typing import NamedTuple
@@ -24,7 +25,7 @@ import numpy as np
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Distance, Vehicle
-from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processor import Ledger, Processor, Sample
 from tramstream.processors.distance import kalman1d
 from tramstream.proto.estimate_pb2 import DistanceState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -59,11 +60,31 @@ class _Taken(NamedTuple):
     accepted: bool
 
 
+@dataclass
+class DistanceMemory:
+    """What a `DistanceFilter` remembers."""
+
+    belief: kalman1d.Belief = field(default_factory=kalman1d.Belief)
+    stamp_ns: int = 0
+    refusals: int = 0
+    wheels: list[str] = field(default_factory=list)
+    """Whose pulses make up the path."""
+    offset_m: float | None = None
+    """Distance − wheels' path; None while not tied."""
+    path_m: float = 0.0
+    """Wheels' path at the last reading."""
+    path_ns: int = 0
+    settled_m2: float = 0.0
+    ledger: Ledger = field(default_factory=lambda: Ledger("distance", "measurements"))
+
+
 class DistanceFilter(Processor):
     """(s, ṡ) from `sync/fusion/frame`, published with every frame that holds a measurement."""
 
     name = "distance"
     Settings = Distance
+    Memory = DistanceMemory
+    memory: DistanceMemory
     inputs = (keys.SYNC_FRAME,)
     outputs = (keys.EST_DISTANCE,)
     pacing = (keys.SYNC_FRAME,)
@@ -77,18 +98,12 @@ class DistanceFilter(Processor):
         self._stamp_variance = wheels.stamp_std_s**2
         self._wheel_variance = wheels.speed_std_mps**2
         self._gate = config.gate_sigma
-        self._stamp_ns = 0
-        self._refusals = 0
-        self._wheels: list[str] = []  # whose pulses make up the path
-        self._offset_m: float | None = None  # distance − wheels' path; None while not tied
-        self._path_m = 0.0  # wheels' path at the last reading
-        self._path_ns = 0
-        self._settled_m2 = 0.0
-        self._ledger = Ledger("distance", "measurements")
-        self._kalman = kalman1d.distance_filter(np.zeros(2), np.zeros((2, 2)))
+        belief = self.memory.belief
+        self._kalman = kalman1d.distance_filter(np.zeros(2), np.zeros((2, 2)), belief)
         self._restart_speed()
 
     def step(self, sample: Sample) -> list[Sample]:
+        memory = self.memory
         frame = sample.message
         fixes, readings = frame.gnss, frame.odometry
         if not fixes and not readings:
@@ -98,39 +113,42 @@ class DistanceFilter(Processor):
             measurements.sort(key=attrgetter("stamp_ns"))
         innovations: list[_Taken] = []
         for measurement in measurements:
-            self._ledger.received += 1
+            memory.ledger.received += 1
             if isinstance(measurement, Odometry):
                 found = self._take_wheels(measurement)
             else:
                 found = self._take_fix(measurement)
             if any(innovation.accepted for innovation in found):
-                self._ledger.delivered += 1
+                memory.ledger.delivered += 1
             else:
-                self._ledger.dropped += 1
+                memory.ledger.dropped += 1
             innovations += found
         return [self._publish(innovations)] if innovations else []
 
     # Measurements --------------------------------------------------------------------------------
     def _predict(self, stamp_ns: int) -> None:
-        dt_s = (stamp_ns - self._stamp_ns) / S
-        if self._stamp_ns == 0:
-            self._stamp_ns = stamp_ns
+        memory = self.memory
+        dt_s = (stamp_ns - memory.stamp_ns) / S
+        if memory.stamp_ns == 0:
+            memory.stamp_ns = stamp_ns
         elif dt_s > MAX_STEP_S:
-            self._stamp_ns = stamp_ns
+            memory.stamp_ns = stamp_ns
             self._restart_speed(travelled_std_m=START_SPEED_STD_MPS * dt_s)
         elif dt_s > 0:
             self._kalman.move(dt_s, self._acceleration_std)
-            self._stamp_ns = stamp_ns
+            memory.stamp_ns = stamp_ns
 
     def _restart_speed(self, travelled_std_m: float = 0.0) -> None:
         """Keep the distance, forget the speed and what the wheels' path was tied to."""
+        memory = self.memory
         variance = self._kalman.covariance[0] + travelled_std_m**2
         self._kalman.x = np.array([[self._kalman.state[0]], [0.0]])
         self._kalman.P = np.diag([variance, START_SPEED_STD_MPS**2])
-        self._offset_m = None
-        self._refusals = 0
+        memory.offset_m = None
+        memory.refusals = 0
 
     def _take_wheels(self, odometry: Odometry) -> list[_Taken]:
+        memory = self.memory
         names: list[str] = []
         speeds: list[float] = []
         pulses = 0
@@ -152,29 +170,30 @@ class DistanceFilter(Processor):
             variance = self._wheel_variance / len(speeds)
             found.append(self._update("wheel_speed", speed_mps, kalman1d.SPEED, variance))
         # The path speaks for the wheels: after a slip their speed is right again, the path is not.
-        self._refusals = 0 if found[0].accepted else self._refusals + 1
-        if self._refusals >= MAX_REFUSALS:
+        memory.refusals = 0 if found[0].accepted else memory.refusals + 1
+        if memory.refusals >= MAX_REFUSALS:
             if any(innovation.accepted for innovation in found):
-                self._offset_m = None  # the speed is right, so the path is wrong
-                self._refusals = 0
+                memory.offset_m = None  # the speed is right, so the path is wrong
+                memory.refusals = 0
             else:
                 self._restart_speed()
         return found
 
     def _take_path(self, wheels: list[str], path_m: float, stamp_ns: int) -> _Taken:
         """Take the mean path of `wheels`."""
+        memory = self.memory
         speed_mps = self._kalman.state[1]
         variance = (
             self._m_per_pulse**2 * QUANTISATION / len(wheels) + speed_mps**2 * self._stamp_variance
         )
-        pause_s = (stamp_ns - self._path_ns) / S
-        jumped = abs(path_m - self._path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)
-        if wheels != self._wheels or jumped:
-            self._offset_m = None
-        self._wheels, self._path_m, self._path_ns = wheels, path_m, stamp_ns
-        if self._offset_m is None:
+        pause_s = (stamp_ns - memory.path_ns) / S
+        jumped = abs(path_m - memory.path_m) > MAX_SPEED_MPS * max(pause_s, MIN_JUMP_S)
+        if wheels != memory.wheels or jumped:
+            memory.offset_m = None
+        memory.wheels, memory.path_m, memory.path_ns = wheels, path_m, stamp_ns
+        if memory.offset_m is None:
             return self._tie(path_m, variance)
-        z = path_m + self._offset_m
+        z = path_m + memory.offset_m
         innovation = self._update("wheel_path", z, kalman1d.POSITION, variance)
         if not innovation.accepted and pause_s > MAX_PAUSE_S:
             return self._tie(path_m, variance)
@@ -182,10 +201,11 @@ class DistanceFilter(Processor):
 
     def _tie(self, path_m: float, variance: float) -> _Taken:
         """Count the wheels' path from the estimate on."""
+        memory = self.memory
         p00, _, _, p11 = self._kalman.covariance
-        self._settled_m2 += p00 + variance
+        memory.settled_m2 += p00 + variance
         self._kalman.P = np.diag([variance, p11])
-        self._offset_m = self._kalman.state[0] - path_m
+        memory.offset_m = self._kalman.state[0] - path_m
         return _Taken("wheel_path", 0.0, variance, accepted=True)
 
     def _take_fix(self, fix: GnssFix) -> list[_Taken]:
@@ -203,9 +223,10 @@ class DistanceFilter(Processor):
         return _Taken(name, *verdict)
 
     def _publish(self, innovations: list[_Taken]) -> Sample:
+        memory = self.memory
         distance_m, speed_mps = self._kalman.state
         p00, p01, _, p11 = self._kalman.covariance
-        p00 += self._settled_m2
+        p00 += memory.settled_m2
         state = DistanceState()
         state.distance_m = distance_m
         state.speed_mps = speed_mps
@@ -219,32 +240,8 @@ class DistanceFilter(Processor):
                 variance=taken.variance,
                 accepted=taken.accepted,
             )
-        return self.emit(keys.EST_DISTANCE, state, self._stamp_ns)
+        return self.emit(keys.EST_DISTANCE, state, memory.stamp_ns)
 
     # Memory --------------------------------------------------------------------------------------
     def ledgers(self) -> list[Ledger]:
-        return [self._ledger]
-
-    def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "x": self._kalman.x,
-            "P": self._kalman.P,
-            "stamp_ns": self._stamp_ns,
-            "refusals": self._refusals,
-            "wheels": list(self._wheels),
-            "offset_m": self._offset_m,
-            "path_m": self._path_m,
-            "path_ns": self._path_ns,
-            "settled_m2": self._settled_m2,
-            "counts": [self._ledger.received, self._ledger.delivered, self._ledger.dropped],
-        }
-
-    def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
-        self._kalman.x, self._kalman.P = state["x"], state["P"]
-        self._stamp_ns, self._refusals = state["stamp_ns"], state["refusals"]
-        self._wheels, self._offset_m = list(state["wheels"]), state["offset_m"]
-        self._path_m, self._path_ns = state["path_m"], state["path_ns"]
-        self._settled_m2 = state["settled_m2"]
-        self._ledger = Ledger("distance", "measurements", *state["counts"])
+        return [self.memory.ledger]

@@ -18,7 +18,7 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tramstream import keys
@@ -26,8 +26,15 @@ from tramstream.clock import S
 from tramstream.config import Resampler as ResamplerSettings
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
-from tramstream.processor import Ledger, Processor, Sample, State
-from tramstream.processors.resampling.windows import Array, Window, Windows, lowpass_taps, mean_taps
+from tramstream.processor import Ledger, Processor, Sample
+from tramstream.processors.resampling.windows import (
+    Array,
+    Window,
+    Windows,
+    WindowsMemory,
+    lowpass_taps,
+    mean_taps,
+)
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry
 from tramstream.proto.sync_pb2 import ImuMean, LateSample, SyncFrame, SyncGap
@@ -40,6 +47,28 @@ bridge breaks a batch at 1.5 periods, and its clock fit slews by 10 % at most.""
 GNSS, ODOMETRY = 0, 1
 _KEYS = (keys.GNSS_FIX, keys.ODO_WHEELS)
 _KINDS = {key.path: kind for kind, key in enumerate(_KEYS)}
+
+
+@dataclass
+class ResamplerMemory:
+    """What a `Resampler` remembers."""
+
+    windows: WindowsMemory = field(default_factory=WindowsMemory)
+    horizon_ns: int = 0
+    """Stamp of the last released frame."""
+    newest_imu_ns: int = 0
+    """Stamp of the newest inertial sample."""
+    newest_ns: int = 0
+    """Newest instant of inertial samples and ticks."""
+    means: deque[ImuMean] = field(default_factory=deque)
+    """Not released yet."""
+    newer: list[ImuMean] = field(default_factory=list)
+    """Since the last frame."""
+    measurements: list[tuple[int, int, int, int, GnssFix | Odometry]] = field(default_factory=list)
+    """Heap of stamp, kind, `publish_ns`, a number that breaks ties, message."""
+    pushed: int = 0
+    samples: Ledger = field(default_factory=lambda: Ledger("resampler", "samples"))
+    measured: Ledger = field(default_factory=lambda: Ledger("resampler", "measurements"))
 
 
 class Resampler(Processor):
@@ -55,6 +84,8 @@ class Resampler(Processor):
 
     name = "resampler"
     Settings = ResamplerSettings
+    Memory = ResamplerMemory
+    memory: ResamplerMemory
     inputs = (keys.IMU_BATCH, keys.GNSS_FIX, keys.ODO_WHEELS, keys.SYNC_TICK)
     outputs = (keys.SYNC_IMU, keys.SYNC_FRAME, keys.SYNC_GAP, keys.SYNC_LATE)
     pacing = (keys.IMU_BATCH,)
@@ -67,19 +98,10 @@ class Resampler(Processor):
         super().__init__()
         config = vehicle.resampler
         self.late_recorded = late_recorded
-        self._windows = Windows(config.factor, _taps(vehicle))
+        self._windows = Windows(config.factor, _taps(vehicle), self.memory.windows)
         self._max_bridge = config.max_bridge_samples
         self._lag_ns = int(config.horizon_lag_s * S)
         self._silence_ns = int(config.imu_silence_s * S)
-        self._horizon_ns = 0  # stamp of the last released frame
-        self._newest_imu_ns = 0  # stamp of the newest inertial sample
-        self._newest_ns = 0  # newest instant of inertial samples and ticks
-        self._means: deque[ImuMean] = deque()
-        self._newer: list[ImuMean] = []  # since the last frame
-        self._measurements: list[tuple[int, int, int, int, GnssFix | Odometry]] = []  # heap
-        self._pushed = 0
-        self._samples = Ledger("resampler", "samples")
-        self._measured = Ledger("resampler", "measurements")
 
     def step(self, sample: Sample) -> list[Sample]:
         if sample.key is keys.IMU_BATCH:
@@ -90,18 +112,19 @@ class Resampler(Processor):
 
     # Inertial samples ----------------------------------------------------------------------------
     def _take_batch(self, batch: ImuBatch, publish_ns: int) -> list[Sample]:
+        memory = self.memory
         count = len(batch.gyro_x)
-        self._samples.received += count
+        memory.samples.received += count
         if count == 0:
             return []
         last_ns = batch.stamp_ns + round(batch.period_ns * (count - 1))
-        if last_ns <= self._newest_imu_ns:  # stamps run backwards: nothing to put in order
-            self._samples.dropped += count
+        if last_ns <= memory.newest_imu_ns:  # stamps run backwards: nothing to put in order
+            memory.samples.dropped += count
             return [self._late(keys.IMU_BATCH.path, batch.sequence, publish_ns, batch.stamp_ns)]
         results: list[Sample] = []
         self._continue_run(batch, results)
-        self._newest_imu_ns = last_ns
-        self._newest_ns = max(self._newest_ns, last_ns)
+        memory.newest_imu_ns = last_ns
+        memory.newest_ns = max(memory.newest_ns, last_ns)
         for window in self._windows.complete():
             self._take_window(window, batch, results)
             # To the window's end, not the batch's: how samples are batched must not show.
@@ -110,34 +133,36 @@ class Resampler(Processor):
 
     def _continue_run(self, batch: ImuBatch, results: list[Sample]) -> None:
         """Append the batch to the run, bridge a short gap, or start a new run after a long one."""
+        memory = self.memory
         windows = self._windows
-        if windows.empty:
-            self._samples.dropped += windows.begin(batch)
+        if windows.memory.empty:
+            memory.samples.dropped += windows.begin(batch)
             return
-        missing = batch.first_sample_sequence - windows.next_sequence
+        missing = batch.first_sample_sequence - windows.memory.next_sequence
         start_ns = windows.last_stamp_ns
         gap_ns = batch.stamp_ns - start_ns
         expected_ns = batch.period_ns * (missing + 1)
         in_time = abs(gap_ns - expected_ns) <= MAX_STRETCH * expected_ns
         if missing == 0 and in_time:
-            self._samples.dropped += windows.extend(batch)
+            memory.samples.dropped += windows.extend(batch)
             return
         bridged = in_time and 0 < missing <= self._max_bridge
         gap = SyncGap(
-            first_missing=windows.next_sequence,
+            first_missing=windows.memory.next_sequence,
             missing_count=max(0, missing),
             duration_s=gap_ns / S,
             bridged=bridged,
         )
         if bridged:
             windows.bridge(batch)
-            self._samples.dropped += windows.extend(batch)
+            memory.samples.dropped += windows.extend(batch)
         else:
-            self._samples.dropped += windows.pending
-            self._samples.dropped += windows.begin(batch)
+            memory.samples.dropped += windows.pending
+            memory.samples.dropped += windows.begin(batch)
         results.append(self.emit(keys.SYNC_GAP, gap, start_ns))
 
     def _take_window(self, window: Window, batch: ImuBatch, results: list[Sample]) -> None:
+        memory = self.memory
         gyro, accel = batch.gyro_scale_radps, batch.accel_scale_mps2
         counts = window.counts
         mean = ImuMean()  # field by field: by keywords it takes half as long again
@@ -152,50 +177,49 @@ class Resampler(Processor):
         mean.accel_y_mps2 = counts[4] * accel
         mean.accel_z_mps2 = counts[5] * accel
         mean.temperature_degc = batch.temperature * batch.temperature_scale_degc
-        self._samples.delivered += window.sample_count
+        memory.samples.delivered += window.sample_count
         stamp_ns = window.stamp_ns
         results.append(self.emit(keys.SYNC_IMU, mean, stamp_ns))
         # Late if ticks have moved the horizon on, or a new run overlaps the one before.
-        newest_ns = self._means[-1].stamp_ns if self._means else self._horizon_ns
+        newest_ns = memory.means[-1].stamp_ns if memory.means else memory.horizon_ns
         if stamp_ns <= newest_ns:
             results.append(self._late(keys.SYNC_IMU.path, mean.sequence, 0, stamp_ns))
         else:
-            self._means.append(mean)
-            self._newer.append(mean)
+            memory.means.append(mean)
+            memory.newer.append(mean)
 
     # Measurements and silence --------------------------------------------------------------------
     def _take_measurement(self, sample: Sample) -> list[Sample]:
-        self._measured.received += 1
+        memory = self.memory
+        memory.measured.received += 1
         path, stamp_ns, publish_ns = sample.key.path, sample.stamp_ns, sample.publish_ns
         recorded = self.late_recorded
         if recorded is not None and (path, publish_ns) in recorded:
             late = True
         else:
             # Far-future only live: in a record, what was refused is named, and what was not waited.
-            known_ns = self._newest_ns if recorded is None else 0
+            known_ns = memory.newest_ns if recorded is None else 0
             too_far = known_ns > 0 and stamp_ns > known_ns + MAX_AHEAD_S * S
-            late = too_far or stamp_ns <= self._horizon_ns
+            late = too_far or stamp_ns <= memory.horizon_ns
         if late:
-            self._measured.dropped += 1
+            memory.measured.dropped += 1
             return [self._late(path, sample.sequence, publish_ns, stamp_ns)]
-        self._push(stamp_ns, _KINDS[path], publish_ns, sample.message)
-        return []
-
-    def _push(self, stamp_ns: int, kind: int, publish_ns: int, message: GnssFix | Odometry) -> None:
         # The last number only breaks ties of one message that came twice.
-        self._pushed += 1
-        entry = (stamp_ns, kind, publish_ns, self._pushed, message)
-        heapq.heappush(self._measurements, entry)
+        memory.pushed += 1
+        entry = (stamp_ns, _KINDS[path], publish_ns, memory.pushed, sample.message)
+        heapq.heappush(memory.measurements, entry)
+        return []
 
     def _take_tick(self, stamp_ns: int) -> list[Sample]:
         """Move the horizon by time alone while there is no inertial data."""
-        if stamp_ns - self._newest_imu_ns <= self._silence_ns:
+        memory = self.memory
+        if stamp_ns - memory.newest_imu_ns <= self._silence_ns:
             return []
-        self._newest_ns = max(self._newest_ns, stamp_ns)
+        memory.newest_ns = max(memory.newest_ns, stamp_ns)
         horizon_ns = stamp_ns - self._lag_ns
         results: list[Sample] = []
         self._release(horizon_ns, results)
-        if horizon_ns > self._horizon_ns:
+        if horizon_ns > memory.horizon_ns:
             results.append(self._frame(horizon_ns, None))
         return results
 
@@ -209,72 +233,38 @@ class Resampler(Processor):
             late.key = path
             late.source_sequence = sequence
             late.source_publish_ns = publish_ns
-            late.horizon_ns = self._horizon_ns
+            late.horizon_ns = self.memory.horizon_ns
         return self.emit(keys.SYNC_LATE, late, stamp_ns)
 
     # The horizon ---------------------------------------------------------------------------------
     def _release(self, horizon_ns: int, results: list[Sample]) -> None:
-        means = self._means
+        means = self.memory.means
         while means and (stamp_ns := means[0].stamp_ns) <= horizon_ns:
             results.append(self._frame(stamp_ns, means.popleft()))
 
     def _frame(self, stamp_ns: int, mean: ImuMean | None) -> Sample:
         """Everything up to `stamp_ns` that has not been released yet."""
-        frame = SyncFrame(ahead=self._newer)
-        self._newer.clear()
+        memory = self.memory
+        frame = SyncFrame(ahead=memory.newer)
+        memory.newer.clear()
         if mean is not None:
             frame.imu.CopyFrom(mean)
-        measurements = self._measurements
+        measurements = memory.measurements
         while measurements and measurements[0][0] <= stamp_ns:
             _, kind, _, _, message = heapq.heappop(measurements)
-            field: Any = frame.gnss if kind == GNSS else frame.odometry
-            field.append(message)
-            self._measured.delivered += 1
-        self._horizon_ns = stamp_ns
+            released: Any = frame.gnss if kind == GNSS else frame.odometry
+            released.append(message)
+            memory.measured.delivered += 1
+        memory.horizon_ns = stamp_ns
         return self.emit(keys.SYNC_FRAME, frame, stamp_ns)
 
     # Memory --------------------------------------------------------------------------------------
     def ledgers(self) -> list[Ledger]:
+        memory = self.memory
         return [
-            replace(self._samples, pending=self._windows.pending),
-            replace(self._measured, pending=len(self._measurements)),
+            replace(memory.samples, pending=self._windows.pending),
+            replace(memory.measured, pending=len(memory.measurements)),
         ]
-
-    def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "windows": self._windows.snapshot(),
-            "horizon_ns": self._horizon_ns,
-            "newest_imu_ns": self._newest_imu_ns,
-            "newest_ns": self._newest_ns,
-            "means": [mean.SerializeToString() for mean in self._means],
-            "newer": [mean.SerializeToString() for mean in self._newer],
-            "measurements": [
-                [kind, publish_ns, message.SerializeToString()]
-                for _, kind, publish_ns, _, message in sorted(
-                    self._measurements, key=lambda entry: entry[:4]
-                )
-            ],
-            "samples": _counts(self._samples),
-            "measured": _counts(self._measured),
-        }
-
-    def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
-        self._windows.restore(state["windows"])
-        self._horizon_ns = state["horizon_ns"]
-        self._newest_imu_ns = state["newest_imu_ns"]
-        self._newest_ns = state["newest_ns"]
-        self._means = deque(ImuMean.FromString(data) for data in state["means"])
-        self._newer = [ImuMean.FromString(data) for data in state["newer"]]
-        self._measurements = []
-        for kind, publish_ns, data in state["measurements"]:
-            message: GnssFix | Odometry = (
-                GnssFix.FromString(data) if kind == GNSS else Odometry.FromString(data)
-            )
-            self._push(message.stamp_ns, kind, publish_ns, message)
-        self._samples = Ledger("resampler", "samples", *state["samples"])
-        self._measured = Ledger("resampler", "measurements", *state["measured"])
 
 
 def _taps(vehicle: Vehicle) -> Array:
@@ -290,7 +280,3 @@ def _taps(vehicle: Vehicle) -> Array:
             f"$.imu.rate_hz and $.resampler.factor leave {half_hz:g} Hz"
         )
     return lowpass_taps(config.factor, rate_hz, config.cutoff_hz)
-
-
-def _counts(ledger: Ledger) -> list[int]:
-    return [ledger.received, ledger.delivered, ledger.dropped]

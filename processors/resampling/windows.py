@@ -9,13 +9,13 @@ Equations: docs/theory.md, section 3.3.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream.processor import State
-from tramstream.processors.resampling.window_kernels import CHANNELS, STAMPS, read_batch, weigh
+from tramstream.processors.resampling.window_kernels import CHANNELS, read_batch, weigh
 from tramstream.proto.raw_pb2 import ImuBatch
 
 Array = NDArray[np.float64]
@@ -58,11 +58,76 @@ def lowpass_taps(factor: int, rate_hz: float, cutoff_hz: float) -> Array:
     return normalised
 
 
+class Columns:
+    """Samples in the columns of one block: those that are still needed, and the newest one.
+
+    The newest is kept even when no window needs it any more, for a gap is bridged from it. As plain
+    data it is what is in use of the block.
+
+    Attributes
+    ----------
+    block : ndarray, shape (7, m)
+    start : int
+        First column that is still needed.
+    stop : int
+        One after the newest sample.
+    """
+
+    def __init__(self, room: int = ROOM) -> None:
+        self.block = np.zeros((CHANNELS + 1, room))
+        self.start = self.stop = 0
+
+    @property
+    def _begin(self) -> int:
+        return max(0, min(self.start, self.stop - 1))
+
+    def make_room(self, count: int) -> None:
+        """Move what is in use to the front of a block that has room for `count` more."""
+        begin, used = self._begin, self.block[:, self._begin : self.stop].copy()
+        self.block = np.zeros((CHANNELS + 1, max(self.block.shape[1], 2 * (used.shape[1] + count))))
+        self.block[:, : used.shape[1]] = used
+        self.start, self.stop = self.start - begin, used.shape[1]
+
+    def to_plain(self) -> list[Any]:
+        return [self.block[:, self._begin : self.stop].copy(), self.start - self._begin]
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> Columns:
+        """Raises TypeError if `plain` is not what `to_plain` gives."""
+        if not isinstance(plain, list) or len(plain) != 2:
+            raise TypeError("memory of another version: not columns and their start")
+        used, start = plain
+        if not isinstance(used, np.ndarray) or used.dtype != float or used.shape[:-1] != (7,):
+            raise TypeError("memory of another version: not columns of seven numbers")
+        columns = cls(max(ROOM, 2 * used.shape[1]))
+        columns.start, columns.stop = min(max(start, 0), used.shape[1]), used.shape[1]
+        columns.block[:, : columns.stop] = used
+        return columns
+
+
+@dataclass
+class WindowsMemory:
+    """What `Windows` remember: the present run."""
+
+    columns: Columns = field(default_factory=Columns)
+    skip: int = 0
+    """Columns from the first that is needed to where the next window begins."""
+    base_ns: int = 0
+    """The run's first stamp."""
+    next_window: int = 0
+    bridges: list[tuple[int, int]] = field(default_factory=list)
+    """Invented samples: first sequence, and one after."""
+    last_ns: float = 0.0
+    """After `base_ns`."""
+    period_ns: float = 0.0
+    empty: bool = True
+    """Whether no run has begun."""
+    next_sequence: int = 0
+    """Device sequence that would continue the run."""
+
+
 class Windows:
     """Collects batches of one run of samples and gives the windows that are complete.
-
-    Samples lie in the columns of one block; the newest is kept even when no window needs it any
-    more, for a gap is bridged from it.
 
     Parameters
     ----------
@@ -70,49 +135,41 @@ class Windows:
         Device samples from one window to the next.
     taps : ndarray, shape (L,)
         Symmetric weights, at least `factor` of them and of its parity.
+    memory : WindowsMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
-    def __init__(self, factor: int, taps: Array) -> None:
+    def __init__(self, factor: int, taps: Array, memory: WindowsMemory | None = None) -> None:
         if len(taps) < factor or (len(taps) - factor) % 2:
             raise ValueError(f"{len(taps)} taps cannot be centred on windows of {factor} samples")
         self.factor = factor
         self.taps = taps
         self.lead = (len(taps) - factor) // 2
-        self._block = np.zeros((CHANNELS + 1, max(ROOM, 4 * len(taps))))
-        self._start = 0  # first column that is still needed
-        self._stop = 0  # one after the newest sample
-        self._skip = 0  # columns from _start to where the next window begins
-        self._base_ns = 0  # the run's first stamp
-        self._next_window = 0
-        self._bridges: list[tuple[int, int]] = []  # invented samples: first sequence, and one after
-        self._last_ns = 0.0  # after _base_ns
-        self._period_ns = 0.0
-        self.empty = True
-        """Whether no run has begun."""
-        self.next_sequence = 0
-        """Device sequence that would continue the run."""
-        read_batch(b"", self._block, 0, 0.0, 0.0)  # compiled here, not at the first step
-        weigh(self._block, 0, taps)
+        self.memory = WindowsMemory() if memory is None else memory
+        block = np.zeros((CHANNELS + 1, len(taps)))
+        read_batch(b"", block, 0, 0.0, 0.0)  # compiled here, not at the first step
+        weigh(block, 0, taps)
 
     @property
     def last_stamp_ns(self) -> int:
-        return self._base_ns + int(self._last_ns)
+        return self.memory.base_ns + int(self.memory.last_ns)
 
     @property
     def pending(self) -> int:
         """Real samples that no window has been centred on yet."""
-        start, stop = self._consumed, self.next_sequence
+        start, stop = self._consumed, self.memory.next_sequence
         return max(0, stop - start) - self._bridged(start, stop)
 
     @property
     def _first(self) -> int:
         """Device sequence of the first column that is still needed."""
-        return self.next_sequence - self._stop + self._start
+        columns = self.memory.columns
+        return self.memory.next_sequence - columns.stop + columns.start
 
     @property
     def _consumed(self) -> int:
         """First device sequence whose window is still to come."""
-        return self._next_window * self.factor
+        return self.memory.next_window * self.factor
 
     def begin(self, batch: ImuBatch) -> int:
         """Start a run and forget the one before, whose `pending` nobody gets any more.
@@ -122,29 +179,31 @@ class Windows:
         int
             How many samples of the batch no window will be centred on, as in `extend`.
         """
-        self.empty = True
-        self._start = self._stop = 0
-        self._bridges = []
-        self._base_ns = batch.stamp_ns
-        first = self.next_sequence = batch.first_sample_sequence
-        self._next_window = -(-(first + self.lead) // self.factor)  # first that lies in it
-        self._skip = self._consumed - self.lead - first
+        memory, columns = self.memory, self.memory.columns
+        memory.empty = True
+        columns.start = columns.stop = 0
+        memory.bridges = []
+        memory.base_ns = batch.stamp_ns
+        first = memory.next_sequence = batch.first_sample_sequence
+        memory.next_window = -(-(first + self.lead) // self.factor)  # first that lies in it
+        memory.skip = self._consumed - self.lead - first
         unused = self.extend(batch)
-        self.empty = False
+        memory.empty = False
         return unused
 
     def bridge(self, batch: ImuBatch) -> None:
         """Interpolate from the newest sample to the first of `batch`, marked as invented."""
-        first = self.next_sequence
+        memory, columns = self.memory, self.memory.columns
+        first = memory.next_sequence
         missing = batch.first_sample_sequence - first
         self._write(batch, missing)  # `extend` puts it there again
-        block, stop = self._block, self._stop
+        block, stop = columns.block, columns.stop
         weights: Array = np.arange(1, missing + 1) / (missing + 1)
         last, after = block[:, stop - 1 : stop], block[:, stop + missing : stop + missing + 1]
         block[:, stop : stop + missing] = last + (after - last) * weights
-        self._stop += missing
-        self.next_sequence += missing
-        self._bridges.append((first, first + missing))
+        columns.stop += missing
+        memory.next_sequence += missing
+        memory.bridges.append((first, first + missing))
 
     def extend(self, batch: ImuBatch) -> int:
         """Append a batch that continues the run.
@@ -155,59 +214,54 @@ class Windows:
             How many of its samples no window will be centred on: they come before the first.
         """
         count = self._write(batch, 0)
-        before = self._next_window * self.factor - self.next_sequence
-        self._stop += count
-        self.next_sequence += count
+        memory = self.memory
+        before = memory.next_window * self.factor - memory.next_sequence
+        memory.columns.stop += count
+        memory.next_sequence += count
         return min(count, before) if before > 0 else 0
 
     def complete(self) -> list[Window]:
         """Windows that lie wholly in what has come; what they no longer need is dropped."""
+        memory, columns = self.memory, self.memory.columns
         windows: list[Window] = []
-        begin, size = self._start + self._skip, len(self.taps)
-        while begin + size <= self._stop:
+        begin, size = columns.start + memory.skip, len(self.taps)
+        while begin + size <= columns.stop:
             windows.append(self._window(begin))
-            self._next_window += 1
+            memory.next_window += 1
             begin += self.factor
         if windows:
-            self._start, self._skip = begin, 0
-            if self._bridges:
-                self._bridges = [bridge for bridge in self._bridges if bridge[1] > self._first]
+            columns.start, memory.skip = begin, 0
+            if memory.bridges:
+                memory.bridges = [bridge for bridge in memory.bridges if bridge[1] > self._first]
         return windows
 
     def _write(self, batch: ImuBatch, skip: int) -> int:
         """Put the samples of `batch` behind what is there and `skip` more; return their count."""
+        memory, columns = self.memory, self.memory.columns
         payload = batch.SerializeToString()
         most = skip + len(payload) // CHANNELS
-        if self._stop + most > self._block.shape[1]:
-            self._make_room(most)
-        start_ns, period_ns = float(batch.stamp_ns - self._base_ns), batch.period_ns
-        count = read_batch(payload, self._block, self._stop + skip, start_ns, period_ns)
+        if columns.stop + most > columns.block.shape[1]:
+            columns.make_room(most)
+        start_ns, period_ns = float(batch.stamp_ns - memory.base_ns), batch.period_ns
+        count = read_batch(payload, columns.block, columns.stop + skip, start_ns, period_ns)
         if count < 0:
             raise ValueError(f"the columns of batch {batch.sequence} differ in length")
-        self._period_ns = period_ns
-        self._last_ns = (count - 1) * period_ns + start_ns
+        memory.period_ns = period_ns
+        memory.last_ns = (count - 1) * period_ns + start_ns
         return count
 
-    def _make_room(self, count: int) -> None:
-        """Move what is needed, and the newest sample, to the front of a block long enough."""
-        begin = max(0, min(self._start, self._stop - 1))
-        kept = self._block[:, begin : self._stop].copy()
-        room = max(self._block.shape[1], 2 * (kept.shape[1] + count))
-        self._block = np.zeros((CHANNELS + 1, room))
-        self._block[:, : kept.shape[1]] = kept
-        self._start, self._stop = self._start - begin, kept.shape[1]
-
     def _window(self, begin: int) -> Window:
-        sums = weigh(self._block, begin, self.taps)
+        memory = self.memory
+        sums = weigh(memory.columns.block, begin, self.taps)
         first_ns, last_ns = sums[CHANNELS:]
         steps, factor = len(self.taps) - 1, self.factor
-        period_ns = (last_ns - first_ns) / steps if steps else self._period_ns
-        first_sequence = self._next_window * factor
+        period_ns = (last_ns - first_ns) / steps if steps else memory.period_ns
+        first_sequence = memory.next_window * factor
         bridged = 0
-        if self._bridges:
+        if memory.bridges:
             bridged = self._bridged(first_sequence, first_sequence + factor)
         return Window(
-            self._base_ns + round((first_ns + last_ns) / 2.0),
+            memory.base_ns + round((first_ns + last_ns) / 2.0),
             first_sequence,
             factor - bridged,
             bridged,
@@ -217,35 +271,4 @@ class Windows:
 
     def _bridged(self, start: int, stop: int) -> int:
         """How many samples of the sequence numbers [start, stop) were invented."""
-        return sum(max(0, min(stop, end) - max(start, first)) for first, end in self._bridges)
-
-    def snapshot(self) -> State:
-        block, start, stop = self._block, self._start, self._stop
-        return {
-            "columns": block[:CHANNELS, start:stop].copy(),
-            "stamps": block[STAMPS, start:stop].copy(),
-            "base_ns": self._base_ns,
-            "first": self._first,
-            "next_window": self._next_window,
-            "bridges": [list(bridge) for bridge in self._bridges],
-            "last": block[:CHANNELS, max(0, stop - 1) : stop].copy(),
-            "last_ns": self._last_ns,
-            "period_ns": self._period_ns,
-        }
-
-    def restore(self, state: State) -> None:
-        columns, last = state["columns"], state["last"]
-        self._start, self._stop = 0, 0
-        self._make_room(1 + columns.shape[1])
-        self.empty = last.shape[1] == 0
-        block, begin = self._block, last.shape[1]
-        block[:CHANNELS, :begin], block[STAMPS, :begin] = last, state["last_ns"]
-        self._start, self._stop = begin, begin + columns.shape[1]
-        block[:CHANNELS, begin : self._stop] = columns
-        block[STAMPS, begin : self._stop] = state["stamps"]
-        self._base_ns, self._last_ns = state["base_ns"], state["last_ns"]
-        self.next_sequence = state["first"] + columns.shape[1]
-        self._next_window = state["next_window"]
-        self._skip = self._consumed - self.lead - state["first"]
-        self._bridges = [(first, end) for first, end in state["bridges"]]
-        self._period_ns = state["period_ns"]
+        return sum(max(0, min(stop, end) - max(start, first)) for first, end in self.memory.bridges)

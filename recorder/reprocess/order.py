@@ -22,14 +22,13 @@ from typing import Any, NamedTuple
 from tramstream import boundary, keys
 from tramstream.boundary import Undecodable
 from tramstream.clock import S
-from tramstream.errors import RecordError
 from tramstream.graph import Graph
 from tramstream.keys import Key
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
 from tramstream.recorder.reader import Entry, Record
-from tramstream.recorder.reprocess.plan import Plan, Spans
+from tramstream.recorder.reprocess.plan import Plan, Spans, is_fresh
 
 SETTLE_NS = 40 * S
 """A message that reaches the recorder so much later than a tick that counts it is lost. What waited
@@ -108,10 +107,9 @@ class Reprocessor:
         others: Collection[str] = (),
     ) -> None:
         self._record = record
-        self._processors = processors
+        self._memories = Memories(plan, processors, others)
         self._plan = plan
         self._take = take
-        self._others = others
         self._expect: Expect | None = None
         self._graph = Graph(processors)
         self._compared = set(self._graph.outputs)
@@ -177,8 +175,7 @@ class Reprocessor:
 
     def _begin(self, index: int) -> None:
         snapshot = self._plan.sessions[index].snapshot
-        if self._plan.remembers(snapshot):
-            restore(snapshot, self._processors, self._others)
+        self._memories.begin(snapshot)
         self._session = index
         self._snapshot = snapshot
         self._done = {position.key: position for position in snapshot.positions}
@@ -316,21 +313,31 @@ def encoded(made: list[Sample]) -> list[Output]:
     return [(each, each.message.SerializeToString()) for each in made]
 
 
-def restore(snapshot: Snapshot, processors: list[Processor], others: Collection[str]) -> None:
-    """Put memory back as a session began with it; that of `others` (names) is somebody else's.
+class Memories:
+    """What processors remember when a session of the live ones begins.
 
-    Processors with a process of their own are not in it: they begin fresh.
+    Processors with a process of their own are in no snapshot: they go on, as do those whose memory
+    in the record is of no use here (`Plan.remembers`).
 
-    Raises
-    ------
-    RecordError
-        If the snapshot is of other processors.
+    Parameters
+    ----------
+    plan : Plan
+    processors : list of Processor
+        Fresh ones.
+    others : collection of str
+        Names of processors that run elsewhere: their memory is not looked at.
     """
-    ours = Snapshot(states=[state for state in snapshot.states if state.name not in others])
-    if not snapshots.restore(ours, processors, some=True):
-        recorded = ", ".join(state.name for state in ours.states)
-        known = ", ".join(processor.name for processor in processors)
-        raise RecordError(
-            f"the record's snapshot is of other processors ({recorded}) than ours ({known}); "
-            "use the version of tramstream that made it, or --fresh"
-        )
+
+    def __init__(self, plan: Plan, processors: list[Processor], others: Collection[str]) -> None:
+        self._plan, self._processors, self._others = plan, processors, others
+        self._fresh = [processor.snapshot() for processor in processors]
+
+    def begin(self, snapshot: Snapshot) -> None:
+        """Put memory back as a session began with it."""
+        if is_fresh(snapshot):  # whatever version of ours it is of
+            for processor, state in zip(self._processors, self._fresh, strict=True):
+                processor.restore(state)
+        elif self._plan.remembers(snapshot):
+            states = [state for state in snapshot.states if state.name not in self._others]
+            fit = snapshots.restore(Snapshot(states=states), self._processors, some=True)
+            assert fit  # or else the plan would not remember

@@ -39,12 +39,12 @@ from tramstream.processor import Processor, Sample, Smoothing
 from tramstream.recorder.reader import Record
 from tramstream.recorder.reprocess.order import (
     Expect,
+    Memories,
     Output,
     Reprocessor,
     Shortfall,
     Take,
     encoded,
-    restore,
 )
 from tramstream.recorder.reprocess.plan import Plan
 
@@ -117,7 +117,7 @@ class Followers:
     """
 
     def __init__(self, processors: list[Processor], plan: Plan, others: Collection[str]) -> None:
-        self._processors, self._others = processors, others
+        self._memories = Memories(plan, processors, others)
         self._plan = plan
         self._session = -1
         self.graph = Graph(processors)
@@ -125,9 +125,7 @@ class Followers:
     def step(self, session: int, samples: list[Sample]) -> list[Output]:
         """Give what follows from `samples`, which followed from one input."""
         if session != self._session and self._plan.anchored:
-            snapshot = self._plan.sessions[session].snapshot
-            if self._plan.remembers(snapshot):
-                restore(snapshot, self._processors, self._others)
+            self._memories.begin(self._plan.sessions[session].snapshot)
         self._session = session
         return encoded(self.graph.follow(samples))
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
 from tramstream import keys
+from tramstream.live import snapshots
+from tramstream.processor import Processor
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.sync_pb2 import LateSample, Snapshot
 from tramstream.recorder.reader import Record
@@ -37,9 +39,21 @@ class Plan:
     """Paths of the keys that the live processors read, as snapshots tell."""
     settings: frozenset[str] | None = None
     """Digests of the settings that the processors have now; None: nobody looks at them."""
+    unfit: set[int] = field(default_factory=set)
+    """Sessions whose memory is of other processors than ours, or of another version of them."""
 
     def remembers(self, snapshot: Snapshot) -> bool:
-        """Whether the memory in `snapshot` was made with the settings of now."""
+        """Whether the memory in `snapshot` is of the processors and settings of now."""
+        return self._settings_fit(snapshot) and snapshot.session not in self.unfit
+
+    def see_what_fits(self, processors: Sequence[Processor]) -> None:
+        """Try the memory of each session on `processors`, which keep their own."""
+        for snapshot in (session.snapshot for session in self.sessions):
+            asked = self._settings_fit(snapshot) and not is_fresh(snapshot)
+            if asked and not snapshots.fits(snapshot, processors):
+                self.unfit.add(snapshot.session)
+
+    def _settings_fit(self, snapshot: Snapshot) -> bool:
         made_with = snapshot.configuration
         return self.settings is None or not made_with or made_with in self.settings
 
@@ -47,7 +61,7 @@ class Plan:
     def forgotten(self) -> int:
         """Sessions that begin with memory of other settings, which is left out."""
         return sum(
-            not self.remembers(session.snapshot) and not is_fresh(session.snapshot)
+            not self._settings_fit(session.snapshot) and not is_fresh(session.snapshot)
             for session in self.sessions
         )
 

@@ -40,6 +40,8 @@ class Rerun:
     forgotten: int = 0
     """Sessions that begin in the middle of a ride, with memory that was made with other settings:
     the processors began afresh there."""
+    unfit: int = 0
+    """The same, of other processors than ours or of another version of them."""
 
     @property
     def identical(self) -> bool:
@@ -99,6 +101,7 @@ def rerun(
         plan = Plan() if fresh else read_plan(record, consumers)
         plan.settings = _settings(record, vehicle, config is not None)
         processors = _processors(vehicle, plan)
+        plan.see_what_fits(processors)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
         if smooth:
@@ -133,6 +136,7 @@ def rerun(
             comparison=comparison,
             without_map=_without_map(vehicle),
             forgotten=plan.forgotten,
+            unfit=len(plan.unfit),
         )
 
 

@@ -79,6 +79,15 @@ def restore(snapshot: Snapshot, processors: Sequence[Processor], some: bool = Fa
     return True
 
 
+def fits(snapshot: Snapshot, processors: Sequence[Processor]) -> bool:
+    """Whether `restore` would put the memory back, into some of `processors`; they keep theirs."""
+    before = [processor.snapshot() for processor in processors]
+    fit = restore(snapshot, processors, some=True)
+    for processor, state in zip(processors, before, strict=True):
+        processor.restore(state)
+    return fit
+
+
 def save(path: Path, snapshot: Snapshot) -> None:
     """Write the snapshot file so that a reader sees the old or the new one, never half of one."""
     private.write(path, snapshot.SerializeToString())

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from streams import PERIOD_NS, batch, batches, noise, stamp_of
 
 from tramstream.clock import S
-from tramstream.processors.resampling.windows import Window, Windows, lowpass_taps, mean_taps
+from tramstream.live.snapshots import pack, unpack
+from tramstream.memory.stage import assign, from_plain, to_plain
+from tramstream.processors.resampling.windows import (
+    Window,
+    Windows,
+    WindowsMemory,
+    lowpass_taps,
+    mean_taps,
+)
 
 RATE_HZ = 2000.0
 CUTOFF_HZ = 16.0
@@ -113,9 +121,10 @@ def test_restored_windows_go_on_with_the_same_bits(method: str, cut: int) -> Non
     whole = run(Windows(20, taps_of(method)), samples)
     before, after = Windows(20, taps_of(method)), Windows(20, taps_of(method))
     found = run(before, samples[: cut + 1])
-    state = before.snapshot()
+    state = pack(to_plain(before.memory))
     run(before, samples)  # whatever it does now is no business of the copy
-    after.restore(state)
+    assign(after.memory, from_plain(WindowsMemory, unpack(state)))
+    assert pack(to_plain(after.memory)) == state
     for sample in samples[cut + 1 :]:
         after.extend(sample.message)
         found += after.complete()
