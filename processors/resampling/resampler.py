@@ -99,6 +99,10 @@ class Resampler(Processor):
         config = vehicle.resampler
         self.late_recorded = late_recorded
         self._windows = Windows(config.factor, _taps(vehicle), self.memory.windows)
+        self._means = self.memory.means
+        self._newer = self.memory.newer
+        self._measurements = self.memory.measurements
+        self._samples, self._measured = self.memory.samples, self.memory.measured
         self._max_bridge = config.max_bridge_samples
         self._lag_ns = int(config.horizon_lag_s * S)
         self._silence_ns = int(config.imu_silence_s * S)
@@ -114,12 +118,12 @@ class Resampler(Processor):
     def _take_batch(self, batch: ImuBatch, publish_ns: int) -> list[Sample]:
         memory = self.memory
         count = len(batch.gyro_x)
-        memory.samples.received += count
+        self._samples.received += count
         if count == 0:
             return []
         last_ns = batch.stamp_ns + round(batch.period_ns * (count - 1))
         if last_ns <= memory.newest_imu_ns:  # stamps run backwards: nothing to put in order
-            memory.samples.dropped += count
+            self._samples.dropped += count
             return [self._late(keys.IMU_BATCH.path, batch.sequence, publish_ns, batch.stamp_ns)]
         results: list[Sample] = []
         self._continue_run(batch, results)
@@ -133,10 +137,9 @@ class Resampler(Processor):
 
     def _continue_run(self, batch: ImuBatch, results: list[Sample]) -> None:
         """Append the batch to the run, bridge a short gap, or start a new run after a long one."""
-        memory = self.memory
         windows = self._windows
         if windows.memory.empty:
-            memory.samples.dropped += windows.begin(batch)
+            self._samples.dropped += windows.begin(batch)
             return
         missing = batch.first_sample_sequence - windows.memory.next_sequence
         start_ns = windows.last_stamp_ns
@@ -144,7 +147,7 @@ class Resampler(Processor):
         expected_ns = batch.period_ns * (missing + 1)
         in_time = abs(gap_ns - expected_ns) <= MAX_STRETCH * expected_ns
         if missing == 0 and in_time:
-            memory.samples.dropped += windows.extend(batch)
+            self._samples.dropped += windows.extend(batch)
             return
         bridged = in_time and 0 < missing <= self._max_bridge
         gap = SyncGap(
@@ -155,14 +158,13 @@ class Resampler(Processor):
         )
         if bridged:
             windows.bridge(batch)
-            memory.samples.dropped += windows.extend(batch)
+            self._samples.dropped += windows.extend(batch)
         else:
-            memory.samples.dropped += windows.pending
-            memory.samples.dropped += windows.begin(batch)
+            self._samples.dropped += windows.pending
+            self._samples.dropped += windows.begin(batch)
         results.append(self.emit(keys.SYNC_GAP, gap, start_ns))
 
     def _take_window(self, window: Window, batch: ImuBatch, results: list[Sample]) -> None:
-        memory = self.memory
         gyro, accel = batch.gyro_scale_radps, batch.accel_scale_mps2
         counts = window.counts
         mean = ImuMean()  # field by field: by keywords it takes half as long again
@@ -177,21 +179,21 @@ class Resampler(Processor):
         mean.accel_y_mps2 = counts[4] * accel
         mean.accel_z_mps2 = counts[5] * accel
         mean.temperature_degc = batch.temperature * batch.temperature_scale_degc
-        memory.samples.delivered += window.sample_count
+        self._samples.delivered += window.sample_count
         stamp_ns = window.stamp_ns
         results.append(self.emit(keys.SYNC_IMU, mean, stamp_ns))
         # Late if ticks have moved the horizon on, or a new run overlaps the one before.
-        newest_ns = memory.means[-1].stamp_ns if memory.means else memory.horizon_ns
+        newest_ns = self._means[-1].stamp_ns if self._means else self.memory.horizon_ns
         if stamp_ns <= newest_ns:
             results.append(self._late(keys.SYNC_IMU.path, mean.sequence, 0, stamp_ns))
         else:
-            memory.means.append(mean)
-            memory.newer.append(mean)
+            self._means.append(mean)
+            self._newer.append(mean)
 
     # Measurements and silence --------------------------------------------------------------------
     def _take_measurement(self, sample: Sample) -> list[Sample]:
         memory = self.memory
-        memory.measured.received += 1
+        self._measured.received += 1
         path, stamp_ns, publish_ns = sample.key.path, sample.stamp_ns, sample.publish_ns
         recorded = self.late_recorded
         if recorded is not None and (path, publish_ns) in recorded:
@@ -202,12 +204,12 @@ class Resampler(Processor):
             too_far = known_ns > 0 and stamp_ns > known_ns + MAX_AHEAD_S * S
             late = too_far or stamp_ns <= memory.horizon_ns
         if late:
-            memory.measured.dropped += 1
+            self._measured.dropped += 1
             return [self._late(path, sample.sequence, publish_ns, stamp_ns)]
         # The last number only breaks ties of one message that came twice.
         memory.pushed += 1
         entry = (stamp_ns, _KINDS[path], publish_ns, memory.pushed, sample.message)
-        heapq.heappush(memory.measurements, entry)
+        heapq.heappush(self._measurements, entry)
         return []
 
     def _take_tick(self, stamp_ns: int) -> list[Sample]:
@@ -238,32 +240,29 @@ class Resampler(Processor):
 
     # The horizon ---------------------------------------------------------------------------------
     def _release(self, horizon_ns: int, results: list[Sample]) -> None:
-        means = self.memory.means
+        means = self._means
         while means and (stamp_ns := means[0].stamp_ns) <= horizon_ns:
             results.append(self._frame(stamp_ns, means.popleft()))
 
     def _frame(self, stamp_ns: int, mean: ImuMean | None) -> Sample:
         """Everything up to `stamp_ns` that has not been released yet."""
-        memory = self.memory
-        frame = SyncFrame(ahead=memory.newer)
-        memory.newer.clear()
+        frame = SyncFrame(ahead=self._newer)
+        self._newer.clear()
         if mean is not None:
             frame.imu.CopyFrom(mean)
-        measurements = memory.measurements
+        measurements = self._measurements
         while measurements and measurements[0][0] <= stamp_ns:
             _, kind, _, _, message = heapq.heappop(measurements)
             released: Any = frame.gnss if kind == GNSS else frame.odometry
             released.append(message)
-            memory.measured.delivered += 1
-        memory.horizon_ns = stamp_ns
+            self._measured.delivered += 1
+        self.memory.horizon_ns = stamp_ns
         return self.emit(keys.SYNC_FRAME, frame, stamp_ns)
 
-    # Memory --------------------------------------------------------------------------------------
     def ledgers(self) -> list[Ledger]:
-        memory = self.memory
         return [
-            replace(memory.samples, pending=self._windows.pending),
-            replace(memory.measured, pending=len(memory.measurements)),
+            replace(self._samples, pending=self._windows.pending),
+            replace(self._measured, pending=len(self._measurements)),
         ]
 
 

@@ -146,6 +146,7 @@ class Windows:
         self.taps = taps
         self.lead = (len(taps) - factor) // 2
         self.memory = WindowsMemory() if memory is None else memory
+        self._columns = self.memory.columns
         block = np.zeros((CHANNELS + 1, len(taps)))
         read_batch(b"", block, 0, 0.0, 0.0)  # compiled here, not at the first step
         weigh(block, 0, taps)
@@ -163,7 +164,7 @@ class Windows:
     @property
     def _first(self) -> int:
         """Device sequence of the first column that is still needed."""
-        columns = self.memory.columns
+        columns = self._columns
         return self.memory.next_sequence - columns.stop + columns.start
 
     @property
@@ -179,7 +180,7 @@ class Windows:
         int
             How many samples of the batch no window will be centred on, as in `extend`.
         """
-        memory, columns = self.memory, self.memory.columns
+        memory, columns = self.memory, self._columns
         memory.empty = True
         columns.start = columns.stop = 0
         memory.bridges = []
@@ -193,7 +194,7 @@ class Windows:
 
     def bridge(self, batch: ImuBatch) -> None:
         """Interpolate from the newest sample to the first of `batch`, marked as invented."""
-        memory, columns = self.memory, self.memory.columns
+        memory, columns = self.memory, self._columns
         first = memory.next_sequence
         missing = batch.first_sample_sequence - first
         self._write(batch, missing)  # `extend` puts it there again
@@ -216,13 +217,13 @@ class Windows:
         count = self._write(batch, 0)
         memory = self.memory
         before = memory.next_window * self.factor - memory.next_sequence
-        memory.columns.stop += count
+        self._columns.stop += count
         memory.next_sequence += count
         return min(count, before) if before > 0 else 0
 
     def complete(self) -> list[Window]:
         """Windows that lie wholly in what has come; what they no longer need is dropped."""
-        memory, columns = self.memory, self.memory.columns
+        memory, columns = self.memory, self._columns
         windows: list[Window] = []
         begin, size = columns.start + memory.skip, len(self.taps)
         while begin + size <= columns.stop:
@@ -237,7 +238,7 @@ class Windows:
 
     def _write(self, batch: ImuBatch, skip: int) -> int:
         """Put the samples of `batch` behind what is there and `skip` more; return their count."""
-        memory, columns = self.memory, self.memory.columns
+        memory, columns = self.memory, self._columns
         payload = batch.SerializeToString()
         most = skip + len(payload) // CHANNELS
         if columns.stop + most > columns.block.shape[1]:
@@ -252,7 +253,7 @@ class Windows:
 
     def _window(self, begin: int) -> Window:
         memory = self.memory
-        sums = weigh(memory.columns.block, begin, self.taps)
+        sums = weigh(self._columns.block, begin, self.taps)
         first_ns, last_ns = sums[CHANNELS:]
         steps, factor = len(self.taps) - 1, self.factor
         period_ns = (last_ns - first_ns) / steps if steps else memory.period_ns

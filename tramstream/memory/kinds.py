@@ -322,3 +322,7 @@ class Shorter(Kind):
 
     def read(self, value: Any, path: str) -> Any:
         return self._kind.from_plain(value)
+
+    def merge(self, old: Any, new: Any) -> Any:
+        vars(old).update(vars(self.copy(new)))
+        return old

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,13 +15,15 @@ from scripted import START_NS, VEHICLE, ManualClock, Script, Sender
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.errors import RecordError
-from tramstream.live import registry
+from tramstream.live import registry, snapshots
 from tramstream.live.host import ProcessorNode
 from tramstream.processor import Processor, Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto.raw_pb2 import ImuBatch
+from tramstream.proto.sync_pb2 import Snapshot
 from tramstream.recorder.file.writer import RecordFile
+from tramstream.recorder.reader import open_record
 from tramstream.recorder.reprocess import parallel as apart
 from tramstream.recorder.reprocess.parallel import part
 from tramstream.recorder.reprocess.run import Rerun, rerun
@@ -179,3 +182,60 @@ def test_pipes_smaller_than_what_goes_through_block_nobody(
     monkeypatch.setattr(apart, "PIPE_BYTES", 4096)
     result = again(monkeypatch, ride, tmp_path / "out.mcap", 2, check=True)
     assert result.identical
+
+
+# Memory that is of no use -------------------------------------------------------------------------
+def middle_of(ride: Path, path: Path, change: Callable[[Snapshot], None]) -> Path:
+    """The record from its second session on, as `change` leaves the memory in it."""
+    with open_record(ride) as record, RecordFile(path, VEHICLE, record.metadata) as target:
+        sessions: set[int] = set()
+        for entry in record.messages():
+            key = keys.find(keys.split(entry.topic)[1])
+            assert key is not None
+            payload = entry.payload
+            if key is keys.SYNC_SNAPSHOT:
+                snapshot = Snapshot.FromString(payload)
+                sessions.add(snapshot.session)
+                change(snapshot)
+                payload = snapshot.SerializeToString()
+            if len(sessions) > 1:
+                sent = entry.log_ns, entry.publish_ns, entry.sequence
+                target.append(entry.topic, key, payload, *sent)
+    return path
+
+
+def in_mid_ride(snapshot: Snapshot) -> None:
+    snapshot.tick_sequence, snapshot.start = 7, False
+
+
+def of_another_version(snapshot: Snapshot) -> None:
+    in_mid_ride(snapshot)
+    for each in snapshot.states:
+        state = snapshots.unpack(each.state)
+        if each.name == "resampler":
+            state["memory"]["lately"] = state["memory"].pop("horizon_ns")
+        each.state = snapshots.pack(state)
+
+
+def of_other_processors(snapshot: Snapshot) -> None:
+    in_mid_ride(snapshot)
+    snapshot.states[0].name = "grade"
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+@pytest.mark.parametrize(
+    ("change", "unfit"), [(in_mid_ride, 0), (of_another_version, 1), (of_other_processors, 1)]
+)
+def test_memory_of_another_version_is_said_and_begun_afresh(
+    ride: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[Snapshot], None],
+    unfit: int,
+    cores: int,
+) -> None:
+    middle = middle_of(ride, tmp_path / "middle.mcap", change)
+    result = again(monkeypatch, middle, tmp_path / "out.mcap", cores)
+    assert result.unfit == unfit
+    assert result.sessions == 1
+    assert result.outputs > STEPS // 2
