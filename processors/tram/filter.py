@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from tramstream.config import Vehicle
+from tramstream.estimation.filterpy_base import ExtendedKalmanFilter
 from tramstream.estimation.kalman import Array, update_scalar
 from tramstream.estimation.localiser import OnTrack, Verdict
 from tramstream.processors.tram import measurements
