@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
+
+from tramstream.estimation.filterpy_base import KalmanFilter
 
 Array = NDArray[np.float64]
 

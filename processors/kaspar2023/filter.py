@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
+from tramstream.estimation.filterpy_base import ExtendedKalmanFilter
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
 from tramstream.processors.kaspar2023 import model
 from tramstream.processors.kaspar2023.model import COLUMNS, ENTRIES, ROWS, SIZE, STEP_S

@@ -55,7 +55,7 @@ def test_kind_of_rides_that_is_not_there_is_told_with_those_there_are() -> None:
 
 @pytest.mark.live
 def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
-    options = ("--seeds", "1", "--seed", "7", "--duration-s", "45", "--json")
+    options = ("--seeds", "1", "--seed", "7", "--duration-s", "25", "--json")
     done = finished(command(*REPRODUCE, *options), check=True)
     figures = json.loads(done.stdout)
     assert figures["published"]["position_p90_m"] == 0.55
@@ -118,7 +118,7 @@ def test_matching_prints_one_json_object_of_lines_and_detours(tmp_path: Path) ->
 
 @pytest.mark.live
 def test_interrupted_rides_leave_what_was_done() -> None:
-    arguments = command(*REPRODUCE, "--seeds", "20", "--duration-s", "45", "--json")
+    arguments = command(*REPRODUCE, "--seeds", "20", "--duration-s", "25", "--json")
     with subprocess.Popen(
         arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,11 +27,20 @@ class Prague(NamedTuple):
         return [each for each in self.told["findings"] if each["kind"] == kind]
 
 
-def built(maps: Path, out: Path) -> Prague:
-    """Build it of the files in a folder."""
+def shared(maps: Path, folder: Path) -> Prague:
+    """Build it of the files in `maps`, or take what another worker of this run has built."""
+    folder.mkdir(exist_ok=True)
+    out, told = folder / "prague.net", folder / "told.json"
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not told.exists():
+            told.write_text(_build(maps, out))
+    return Prague(networks.load(out), out, json.loads(told.read_text()))
+
+
+def _build(maps: Path, out: Path) -> str:
     sources = [*maps.glob("*overpass.json")]
     lines, tile = maps / "lines_7_20.geojson", maps / "N50E014.hgt"
     options = ["-o", out, "--elevation", tile, "--lines", lines, "--json"]
     command = ["map", "build", *map(str, sorted(sources)), *map(str, options)]
-    result = CliRunner().invoke(make_app("map"), command, catch_exceptions=False)
-    return Prague(networks.load(out), out, json.loads(result.stdout))
+    return CliRunner().invoke(make_app("map"), command, catch_exceptions=False).stdout

@@ -149,7 +149,7 @@ def killed(folder: Path, kills: int, at_once: int, split_s: float, latest_s: flo
 
 @pytest.mark.live
 def test_killed_recorder_loses_less_than_half_a_second(tmp_path):
-    killed(tmp_path, kills=50, at_once=10, split_s=0.9, latest_s=3.0)
+    killed(tmp_path, kills=20, at_once=10, split_s=0.9, latest_s=3.0)
 
 
 @pytest.mark.study
