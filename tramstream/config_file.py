@@ -34,8 +34,8 @@ def load(path: Path) -> Vehicle:
         data = read_limited(path, TEXT_LIMIT_BYTES)
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot read the configuration ({error.strerror}); "
-            "`tramstream init` writes one"
+            f"{path}: cannot read the configuration ({error.strerror})",
+            cure="`tramstream init` writes one",
         ) from error
     return parse(data, str(path), path.parent)
 
@@ -46,8 +46,8 @@ def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     sections = {section: raw.pop(section) for section in _strangers() if section in raw}
     if SECTIONS in raw:
         raise ConfigError(
-            f"{name}: $.{SECTIONS}: unknown field; settings of a processor of another package "
-            "stand in a section of its name"
+            f"{name}: $.{SECTIONS}: unknown field",
+            cure="settings of a processor of another package stand in a section of its name",
         )
     vehicle = _resolve(convert(raw, Vehicle, name), folder)
     _check_names(vehicle, name)
@@ -86,7 +86,9 @@ def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str,
         type_ = class_.Settings
         if type_ is None:
             if section in sections:
-                raise ConfigError(f"{file}: $.{section}: {section} has no settings; delete it")
+                raise ConfigError(
+                    f"{file}: $.{section}: {section} has no settings", cure="delete it"
+                )
             continue
         found = convert(sections.get(section, {}), type_, file, f"$.{section}")
         made[section] = msgspec.to_builtins(found)

@@ -52,7 +52,9 @@ class Graph:
                 self._steps.setdefault(key.path, []).append(step)
             for key in processor.outputs:
                 if key.path in self.outputs:
-                    raise ConfigError(f"two processors make {key.path}; switch one of them off")
+                    raise ConfigError(
+                        f"two processors make {key.path}", cure="switch one of them off"
+                    )
                 self.outputs[key.path] = key
         self.inputs = {path: key for path, key in read.items() if path not in self.outputs}
         """What must come from outside, by path."""

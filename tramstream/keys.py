@@ -195,7 +195,8 @@ DEVICE = define(
     "health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge"
 )
 LOSS = define("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
-LOG = define("health/*/log", Log, 0, "publication", "What a node has to say")
+EVENT = define("health/*/event", health_pb2.Event, 0, "event time", "What happened: kind and facts")
+LOG = define("health/*/log", Log, 0, "event time", "The same as sentences, for any viewer")
 CLOCK = define(
     "health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC"
 )

@@ -73,9 +73,8 @@ def fail(name: str, text: str, cure: str) -> Finding:
 
 
 def from_error(name: str, error: TramstreamError) -> Finding:
-    """A failure out of an error, whose sentence ends with the cure."""
-    text, _, cure = str(error).partition("; ")
-    return fail(name, text, cure)
+    """A failure out of an error, which knows its cure."""
+    return fail(name, error.reason, error.cure)
 
 
 # Software -----------------------------------------------------------------------------------------

@@ -67,7 +67,7 @@ def check_node(name: str, vehicle: Vehicle) -> None:
     if name not in known:
         raise ConfigError(plugins.unknown("node", name, known))
     if name in bridges and not config_file.has_section(vehicle, name):
-        raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
+        raise ConfigError(f"node {name}: the configuration has no section [{name}]", cure="add one")
 
 
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:

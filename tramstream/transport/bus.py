@@ -257,8 +257,9 @@ class ZenohBus(Bus):
                         raise
             if stop is None or stop.wait(ROUTER_POLL_S):
                 raise BusError(
-                    f"no bus at {path}; start `tramstream run`, `demo` or `replay` first, or set "
-                    "TRAMSTREAM_RUNTIME_DIR to the folder that it uses"
+                    f"no bus at {path}",
+                    cure="start `tramstream run`, `demo` or `replay` first, or set "
+                    "TRAMSTREAM_RUNTIME_DIR to the folder that it uses",
                 )
 
     @classmethod
