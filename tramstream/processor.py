@@ -97,7 +97,7 @@ class Processor(ABC):
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self._next_sequence: dict[str, int] = {}
         check(self.Memory)
-        self._repeats = Repeats()
+        self._repeats = Repeats(self.events)
         self.memory: Any = self.Memory()
         if vehicle is not None and self.Settings is not None:
             self.settings: Any = settings(vehicle, self.name, self.Settings)
@@ -147,7 +147,7 @@ class Processor(ABC):
 
     def overdue_events(self, stamp_ns: int) -> list[Sample]:
         """Say how often what was said last has happened since; for whoever steps now and then."""
-        found = self._repeats.overdue(self.events, stamp_ns)
+        found = self._repeats.overdue(stamp_ns)
         return [each for event, more in found for each in self._said(event, more, stamp_ns)]
 
     def _said(self, event: Event, unsaid: int, stamp_ns: int) -> list[Sample]:

@@ -38,12 +38,13 @@ def message_of(event: Event, source: str = "", unsaid: int = 0) -> health_pb2.Ev
 
 
 def log_of(message: health_pb2.Event) -> Log:
-    """The same for viewers, worded; `file` names the kind, as a line of code would be named."""
+    """The same for viewers, worded; where code is named, kind and number of the stamped event."""
     return Log(
         level=_LEVELS.get(message.severity, Log.Level.UNKNOWN),  # type: ignore[call-overload]
         message=sentence_of(message),
         name=message.source,
         file=message.kind,
+        line=message.sequence & 0xFFFFFFFF,
     )
 
 

@@ -22,14 +22,21 @@ class Repeats:
     """Decides for one source which events are said.
 
     Its memory is plain data and belongs into a processor's snapshot: what is said is an output.
+
+    Parameters
+    ----------
+    kinds : iterable of Kind
+        Those that its memory may be of; more are learned as they come.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kinds: Iterable[Kind] = ()) -> None:
+        self._kinds = {kind.name: kind for kind in kinds}
         self._said: dict[str, dict[str, list[Any]]] = {}
         """By kind and identity: when it was said last, how often not since, facts of the newest."""
 
     def take(self, event: Event, now_ns: int) -> int | None:
         """How often this was not said since it was said last; None if it is not said now."""
+        self._kinds[event.kind.name] = event.kind
         said = self._said.setdefault(event.kind.name, {})
         identity = "\n".join(event.identity)
         if identity not in said and len(said) >= MOST:
@@ -45,12 +52,13 @@ class Repeats:
         known[:] = [now_ns, 0, {}]
         return unsaid
 
-    def overdue(self, kinds: Iterable[Kind], now_ns: int) -> list[tuple[Event, int]]:
+    def overdue(self, now_ns: int) -> list[tuple[Event, int]]:
         """The newest of what was not said for long, and how often besides; it is said with this."""
         found = []
-        for kind in kinds:
-            for known in self._said.get(kind.name, {}).values():
-                if known[1] and not 0 <= now_ns - known[0] < AGAIN_NS:
+        for name, said in self._said.items():
+            kind = self._kinds.get(name)
+            for known in said.values():
+                if kind is not None and known[1] and not 0 <= now_ns - known[0] < AGAIN_NS:
                     found.append((Event(kind, known[2]), known[1] - 1))
                     known[:] = [now_ns, 0, {}]
         return found

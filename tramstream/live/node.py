@@ -20,7 +20,7 @@ from google.protobuf.message import Message
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.events.kinds import Event, Kind
+from tramstream.events.kinds import Event
 from tramstream.events.messages import log_of, message_of
 from tramstream.events.repeats import Repeats
 from tramstream.keys import Key
@@ -80,7 +80,6 @@ class Node(ABC):
         self.source = name
         """Of its events; another than `name` where a processor of that name tells some too."""
         self._repeats = Repeats()
-        self._kinds: dict[str, Kind] = {}  # of what it has told
         self._fault_text = ""
         self._sequences: dict[str, int] = {}
         self._topics: dict[str, tuple[str, str]] = {}
@@ -230,7 +229,6 @@ class Node(ABC):
 
     def tell(self, event: Event) -> None:
         """Say what happened on `health/<node>/event`; the same again only now and then."""
-        self._kinds[event.kind.name] = event.kind
         unsaid = self._repeats.take(event, self.clock.now_ns())
         if unsaid is not None:
             self._publish_event(event, unsaid)
@@ -256,7 +254,7 @@ class Node(ABC):
         usage = resource.getrusage(resource.RUSAGE_SELF)
         self.tell_refusals()
         now_ns = self.clock.now_ns()
-        for event, more in self._repeats.overdue(self._kinds.values(), now_ns):
+        for event, more in self._repeats.overdue(now_ns):
             self._publish_event(event, more)
         troubles = [*self.troubles, *self.refusals.troubles(now_ns)]
         if self.faults and not troubles:

@@ -7,12 +7,14 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 from tramstream import keys
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
 from tramstream.events.kinds import Event
 from tramstream.events.messages import log_of, message_of
+from tramstream.keys import Key
 from tramstream.machine import compilation
 from tramstream.processor import stamp
 from tramstream.supervision.child import Child
@@ -99,12 +101,15 @@ class Teller:
         if self.bus is None:
             return
         self._sequence += 1
-        message = message_of(event, SUPERVISOR)
-        stamp_ns = self.bus.clock.now_ns()
-        for key, each in ((self._event, message), (self._log, log_of(message))):
-            stamp(each, stamp_ns, self._sequence)
-            topic, data = key.on(self._vehicle), each.SerializeToString()
-            self.bus.publish(topic, data, key.encoding, self._sequence)
+        message, stamp_ns = message_of(event, SUPERVISOR), self.bus.clock.now_ns()
+        self._publish(self._event, message, stamp_ns)
+        self._publish(self._log, log_of(message), stamp_ns)
+
+    def _publish(self, key: Key, message: Any, stamp_ns: int) -> None:
+        assert self.bus is not None  # asked by `tell`
+        stamp(message, stamp_ns, self._sequence)
+        data = message.SerializeToString()
+        self.bus.publish(key.on(self._vehicle), data, key.encoding, self._sequence)
 
 
 @contextmanager

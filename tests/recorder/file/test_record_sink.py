@@ -276,7 +276,7 @@ def test_file_that_vanishes_while_it_is_written_is_written_once_more(tmp_path, f
     sink.finish()
     assert sink.finished
     assert (folder / "a.mcap").read_bytes() == b"before, meanwhile, after"
-    assert list(worker.events) == [PART_RESCUED(part="a.mcap")]
+    assert list(worker.events) == [PART_RESCUED(part="a.mcap.active")]
 
 
 def test_group_is_in_the_file_or_given_back_when_the_disk_hangs():
