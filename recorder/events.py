@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tramstream.events.kinds import ERROR, INFO, kind
+from tramstream.events.kinds import ERROR, INFO, define
 
-FOLDER_REFUSED = kind(
+FOLDER_REFUSED = define(
     "recorder.folder_refused",
     "{folder}: the folder of records cannot be made or read: {reason}",
     cause="A disk that is not mounted, or a folder of somebody else.",
@@ -14,7 +14,7 @@ FOLDER_REFUSED = kind(
     reason=str,
     advice=str,
 )
-NO_SPACE = kind(
+NO_SPACE = define(
     "recorder.no_space",
     "{folder}: recording stopped, {free_bytes} are free, the floor is {floor_bytes} "
     "($.recorder.free_space_floor_bytes), and no record may be deleted",
@@ -26,13 +26,13 @@ NO_SPACE = kind(
     free_bytes=int,
     floor_bytes=int,
 )
-NOT_FINISHED = kind(
+NOT_FINISHED = define(
     "recorder.not_finished",
     "the disk did not take all; what is written is repaired at the next start",
     cause="The recorder had to end while the disk refused or was slower than 10 s.",
     severity=ERROR,
 )
-PART_DELETED = kind(
+PART_DELETED = define(
     "recorder.part_deleted",
     "{part}: deleted, {free_bytes} were free, the floor is {floor_bytes} "
     "($.recorder.free_space_floor_bytes)",
@@ -42,14 +42,14 @@ PART_DELETED = kind(
     free_bytes=int,
     floor_bytes=int,
 )
-SPACE_HELD = kind(
+SPACE_HELD = define(
     "recorder.space_held",
     "{part}: was deleted, but its space is not free yet, somebody may still read it",
     cause="A program has the deleted record open.",
     cure="end what reads it (fuser shows which)",
     part=str,
 )
-PART_NOT_DELETED = kind(
+PART_NOT_DELETED = define(
     "recorder.part_not_deleted",
     "{part}: cannot be deleted: {reason}",
     cause="The record belongs to another user, or the disk is read-only.",
@@ -58,7 +58,7 @@ PART_NOT_DELETED = kind(
     reason=str,
     advice=str,
 )
-PART_RENAMED = kind(
+PART_RENAMED = define(
     "recorder.part_renamed",
     "{part}: the time is known now, it is {to}",
     cause="The computer had no clock when the part was begun.",
@@ -66,7 +66,7 @@ PART_RENAMED = kind(
     part=str,
     to=str,
 )
-PART_REPAIRED = kind(
+PART_REPAIRED = define(
     "recorder.part_repaired",
     "{part}: {messages} messages over {lasting_s} saved; {damaged_bytes} were not as written, "
     "{torn} chunks torn or damaged, {unknown} messages left out whose channel is not described",
@@ -79,14 +79,14 @@ PART_REPAIRED = kind(
     torn=int,
     unknown=int,
 )
-EMPTY_DELETED = kind(
+EMPTY_DELETED = define(
     "recorder.empty_deleted",
     "{part}: held no message and was deleted",
     cause="The run before ended before its record had a message.",
     severity=INFO,
     part=str,
 )
-PART_NOT_REPAIRED = kind(
+PART_NOT_REPAIRED = define(
     "recorder.part_not_repaired",
     "{reason}",
     cause="A record that was not finished holds nothing that can be read, is being written by "
@@ -95,7 +95,7 @@ PART_NOT_REPAIRED = kind(
     reason=str,
     advice=str,
 )
-HAD_AGAIN = kind(
+HAD_AGAIN = define(
     "recorder.had_again",
     "{messages} messages that did not come were had again",
     cause="The bus has dropped messages, or the recorder stood still; their publishers still had "
@@ -103,20 +103,20 @@ HAD_AGAIN = kind(
     severity=INFO,
     messages=int,
 )
-STRANGE_ANSWER = kind(
+STRANGE_ANSWER = define(
     "recorder.strange_answer",
     "{size_bytes} that answer a question for missing messages are {reason}; left out",
     cause="Somebody else answers for a publisher.",
     size_bytes=int,
     reason=str,
 )
-KEY_OF_OTHERS = kind(
+KEY_OF_OTHERS = define(
     "recorder.key_of_others",
     "{key}: not recorded, for it is no key of this vehicle",
     cause="Somebody publishes below this vehicle's prefix under another name.",
     key=str,
 )
-TOO_MANY_KEYS = kind(
+TOO_MANY_KEYS = define(
     "recorder.too_many_keys",
     "{key}: not recorded; {limit} keys are, and this is more",
     cause="Somebody who is no node of the vehicle makes up ever new keys.",
@@ -124,7 +124,7 @@ TOO_MANY_KEYS = kind(
     key=str,
     limit=int,
 )
-SECOND_PUBLISHER = kind(
+SECOND_PUBLISHER = define(
     "recorder.second_publisher",
     "{key} comes from a second publisher, {who}; it is recorded as {kept}",
     cause="Two programs publish one key: two receivers, a node started twice, a replay onto a "
@@ -134,7 +134,7 @@ SECOND_PUBLISHER = kind(
     who=str,
     kept=str,
 )
-NOT_DESCRIBED = kind(
+NOT_DESCRIBED = define(
     "recorder.not_described",
     "messages of {type} are recorded as bytes, for {reason}",
     cause="The type is of another package, and its publisher does not answer for it.",

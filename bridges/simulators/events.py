@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tramstream.events.kinds import ERROR, INFO, kind
+from tramstream.events.kinds import ERROR, INFO, define
 
-FAULT_INJECTED = kind(
+FAULT_INJECTED = define(
     "simulators.fault_injected",
     "{device}: injected {faults}",
     cause="The scenario asks for a fault, as a test of what a vehicle makes of it.",
@@ -12,7 +12,7 @@ FAULT_INJECTED = kind(
     device=str,
     faults=str,
 )
-SIMULATORS_FAILED = kind(
+SIMULATORS_FAILED = define(
     "simulators.failed",
     "{reason}",
     cause="The simulated devices cannot be made here.",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tramstream.events.kinds import ERROR, kind
+from tramstream.events.kinds import ERROR, define
 
-DISK_REFUSES = kind(
+DISK_REFUSES = define(
     "record.disk_refuses",
     "{path}: {reason}; {waiting_bytes} wait in memory, {dropped} messages were dropped",
     cause="The disk is full, read-only, broken or gone. Messages wait in memory as long as there "
@@ -17,7 +17,7 @@ DISK_REFUSES = kind(
     waiting_bytes=int,
     dropped=int,
 )
-PART_RESCUED = kind(
+PART_RESCUED = define(
     "record.part_rescued",
     "{part}: was deleted or moved while it was written; it is whole again",
     cause="Somebody has deleted or moved a file that the recorder has open.",

@@ -17,7 +17,7 @@ from tramstream.cli.monitor.screen import WIDE
 from tramstream.cli.monitor.stats import Stats
 from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
-from tramstream.events.kinds import kind
+from tramstream.events import define
 from tramstream.events.messages import message_of
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
@@ -115,7 +115,7 @@ def test_sick_node_and_device_say_why():
 
 
 def test_last_event_of_a_source_is_shown_while_it_is_news():
-    refused = kind("test.refused", "a fix {key}: {innovation_m}", key=str, innovation_m=float)
+    refused = define("test.refused", "a fix {key}: {innovation_m}", key=str, innovation_m=float)
     event = message_of(refused(key=keys.GNSS_FIX.path, innovation_m=41.2), "ekf")
     event.stamp_ns = NOW_NS - 5 * S
     stats = healthy()

@@ -8,7 +8,7 @@ from scripted import START_NS, VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.events.kinds import kind
+from tramstream.events import define
 from tramstream.events.repeats import AGAIN_NS
 from tramstream.live.node import Node
 from tramstream.processor import Ledger
@@ -156,7 +156,7 @@ def test_fault_that_repeats_is_counted_each_time_and_told_now_and_then(world: Wo
 
 
 def test_event_takes_names_that_are_no_text(world: World) -> None:
-    gone = kind("test.gone", "{device} is gone", device=str)(device="\udcff")
+    gone = define("test.gone", "{device} is gone", device=str)(device="\udcff")
     listener = Listener(world.bus, Script())
     listener.tell(gone)
     listener.troubles = [gone]

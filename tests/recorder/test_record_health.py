@@ -7,7 +7,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.events.kinds import kind
+from tramstream.events import define
 from tramstream.events.messages import log_of, message_of
 from tramstream.proto.health_pb2 import ClockReference, DeviceHealth, Event, Loss, NodeHealth
 from tramstream.recorder.health import HEALTH_TYPES, Health, Run
@@ -80,7 +80,7 @@ def test_devices_losses_sentences_and_clock_are_kept():
     assert health.utc_offset_ns == -37 * S
 
 
-LATE = kind("test.late", "{device} is late by {late_s}", device=str, late_s=float)
+LATE = define("test.late", "{device} is late by {late_s}", device=str, late_s=float)
 
 
 def told(second: int, number: int, unsaid: int = 0) -> tuple[Event, Log]:

@@ -10,14 +10,14 @@ from scripted import VEHICLE, ManualClock, Sender
 
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
-from tramstream.events.kinds import kind
+from tramstream.events import define
 from tramstream.events.messages import message_of
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.supervision.voice import RING_CAPACITY, Voice
 from tramstream.transport.bus import LocalBus
 
-LATE = kind("test.late", "{device} is late by {late_s}", device=str, late_s=float)
+LATE = define("test.late", "{device} is late by {late_s}", device=str, late_s=float)
 HEARD = (keys.HEARTBEAT, keys.LOSS, keys.LOG)
 
 

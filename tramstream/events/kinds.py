@@ -1,6 +1,6 @@
 """What can happen, each kind declared once by whoever raises it, and what happened: kind and facts.
 
-    FIX_REFUSED = kind(
+    FIX_REFUSED = define(
         "tram.fix_refused",
         "a fix does not fit: innovation {innovation_m}, limit {limit_m} ({setting})",
         cause="An outlier of the receiver, or a filter that is wrong.",
@@ -43,7 +43,7 @@ INFO, WARNING, ERROR = Severity
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Kind:
-    """One kind of event; called with its facts it gives the event. See `kind`."""
+    """One kind of event; called with its facts it gives the event. See `define`."""
 
     name: str
     sentence: str
@@ -86,7 +86,7 @@ class Event:
         return sentences.worded(self.kind.sentence, self.kind.cure, known)
 
 
-def kind(
+def define(
     name: str,
     sentence: str,
     *,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tramstream.events.kinds import ERROR, INFO, kind
+from tramstream.events.kinds import ERROR, INFO, define
 
-FAULT = kind(
+FAULT = define(
     "node.fault",
     "a stage failed and goes on with what comes next, {trace}",
     cause="A bug in a processor, bridge or node: an exception that nobody expected.",
@@ -12,7 +12,7 @@ FAULT = kind(
     error=str,
     trace=str,
 )
-FAULTY = kind(
+FAULTY = define(
     "node.faulty",
     "{faults} faults, last {error}; trace in health/{node}/event",
     cause="Stages have failed since the node was started (node.fault tells each).",
@@ -21,7 +21,7 @@ FAULTY = kind(
     error=str,
     node=str,
 )
-UNDECODABLE = kind(
+UNDECODABLE = define(
     "input.undecodable",
     "{key} holds bytes that are {reason}; not used (UNDECODABLE)",
     cause="Somebody publishes another type on the key, or a message that is cut.",
@@ -29,7 +29,7 @@ UNDECODABLE = kind(
     key=str,
     reason=str,
 )
-FUTURE_STAMP = kind(
+FUTURE_STAMP = define(
     "input.future_stamp",
     "{key} has stamps {ahead_s} ahead of their arrival, limit {limit_s}; not used (STAMP)",
     cause="The clock of a device or of a publisher is ahead; one sample from the future would hold "
@@ -39,7 +39,7 @@ FUTURE_STAMP = kind(
     ahead_s=float,
     limit_s=float,
 )
-SECOND_PUBLISHER = kind(
+SECOND_PUBLISHER = define(
     "input.second_publisher",
     "{key} is from a second publisher, {who}; not used (SOURCE)",
     cause="Two programs publish one key: two receivers, a node started twice, a replay onto a "
@@ -48,39 +48,39 @@ SECOND_PUBLISHER = kind(
     key=str,
     who=str,
 )
-NOT_USED = kind(
+NOT_USED = define(
     "input.not_used",
     "{not_used} messages not used in all",
     cause="What was not used since the node was started, for any of these causes.",
     not_used=int,
 )
-SNAPSHOT_UNREADABLE = kind(
+SNAPSHOT_UNREADABLE = define(
     "memory.unreadable",
     "{path}: the snapshot cannot be read ({reason}); starting afresh",
     cause="The file of a process that died is damaged or not this user's.",
     path=str,
     reason=str,
 )
-MEMORY_TAKEN = kind(
+MEMORY_TAKEN = define(
     "memory.taken",
     "{node} goes on from the memory of its predecessor",
     cause="A process that died was started again within a minute.",
     severity=INFO,
     node=str,
 )
-MEMORY_OF_OTHERS = kind(
+MEMORY_OF_OTHERS = define(
     "memory.of_others",
     "{path}: of other processors or settings; starting afresh",
     cause="The configuration or the version has changed since the process before.",
     path=str,
 )
-DEVICE_NOT_OPENED = kind(
+DEVICE_NOT_OPENED = define(
     "device.not_opened",
     "{device}: not opened yet",
     cause="The node has just begun.",
     device=str,
 )
-DEVICE_AWAY = kind(
+DEVICE_AWAY = define(
     "device.away",
     "{reason}",
     cause="The device is unplugged, held by another program, or refuses; it is tried again, from "
@@ -91,7 +91,7 @@ DEVICE_AWAY = kind(
     reason=str,
     advice=str,
 )
-DEVICE_SILENT = kind(
+DEVICE_SILENT = define(
     "device.silent",
     "{device}: open, but silent for {silence_s}, limit {limit_s}",
     cause="The device says nothing: no power behind the adapter, a broken cable, another bit rate.",
@@ -100,7 +100,7 @@ DEVICE_SILENT = kind(
     silence_s=float,
     limit_s=float,
 )
-PORT_FAILED = kind(
+PORT_FAILED = define(
     "device.port_failed",
     "{device}: {error}; it is opened again",
     cause="A bug in the port, told with its trace as node.fault.",
