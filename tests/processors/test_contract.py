@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from installed import COMFORT, install, put_on_path
 
+from tramstream import keys
+from tramstream.graph import Graph
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Processor, Sample
 from tramstream.processors.distance.processor import DistanceFilter
@@ -18,6 +20,9 @@ from tramstream.processors.resampling.resampler import Resampler
 from tramstream.recorder.reprocess.contract import ProcessorContract
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
+
+LOW_MPS2 = 0.2
+"""Limit that a departure exceeds again and again."""
 
 
 @cache
@@ -64,7 +69,17 @@ class TestForeignProcessor(Contract):
         self.module = importlib.import_module("comfort")
 
     def make(self) -> list[Processor]:
-        return [Resampler(ride().vehicle), self.module.Comfort(ride().vehicle)]
+        comfort = self.module.Comfort(ride().vehicle)
+        comfort.settings = self.module.Settings(limit_mps2=LOW_MPS2)
+        return [Resampler(ride().vehicle), comfort]
+
+    def test_its_events_are_among_what_is_tested(self) -> None:
+        (kind,) = self.module.Comfort.events
+        key = keys.EVENT.at("comfort").path
+        told = [each.message for each in Graph(self.make()).follow(sent()) if each.key.path == key]
+        assert {event.kind for event in told} == {kind.name}
+        assert len(told) > 1
+        assert all(event.unsaid > 0 for event in told[1:])
 
     def others(self) -> list[Processor]:
         return [LocalisationFilter(ride().vehicle)]
