@@ -107,6 +107,7 @@ STRANGE_ANSWER = define(
     "recorder.strange_answer",
     "{size_bytes} that answer a question for missing messages are {reason}; left out",
     cause="Somebody else answers for a publisher.",
+    cure="end that program",
     size_bytes=int,
     reason=str,
 )
@@ -114,6 +115,7 @@ KEY_OF_OTHERS = define(
     "recorder.key_of_others",
     "{key}: not recorded, for it is no key of this vehicle",
     cause="Somebody publishes below this vehicle's prefix under another name.",
+    cure="give that program this vehicle's name ($.vehicle), or end it",
     key=str,
 )
 TOO_MANY_KEYS = define(

@@ -76,6 +76,7 @@ RECORDER_DEAF = define(
     "supervisor.recorder_deaf",
     "node {node} did not hear the others end; the last messages may be missing",
     cause="The recorder died or froze while the run ended: its last messages may be missing.",
+    cure="`tramstream info` says what is in the record",
     severity=ERROR,
     node=str,
 )
@@ -83,6 +84,7 @@ RECORDER_BROKEN_OFF = define(
     "supervisor.recorder_broken_off",
     "node {node} {how} at the end; what was published last may be missing",
     cause="The recorder did not end in order.",
+    cure="`tramstream info` says what is in the record",
     severity=ERROR,
     node=str,
     how=str,
@@ -112,6 +114,7 @@ NO_SUPERVISOR = define(
     "node.no_supervisor",
     "no supervisor for {limit_s}; ending",
     cause="Supervisor and router were killed together, or nobody may take over.",
+    cure="start `tramstream run` again",
     severity=ERROR,
     limit_s=float,
 )
@@ -119,6 +122,7 @@ NO_SUCCESSOR = define(
     "node.no_successor",
     "no successor can be started: {reason}",
     cause="The supervisor has vanished, and the command that would start another fails.",
+    cure="start `tramstream run` again",
     severity=ERROR,
     reason=str,
 )
