@@ -11,15 +11,25 @@ from pathlib import Path
 from types import ModuleType
 
 from tramstream.bridges.simulators import events as simulators
+from tramstream.estimation import events as fixes
 from tramstream.events import Kind
 from tramstream.events.sentences import unit_of
 from tramstream.live import events as live
+from tramstream.processors.distance import events as distance
+from tramstream.processors.kaspar2023 import events as kaspar2023
+from tramstream.processors.localisation import events as ekf
+from tramstream.processors.tram import events as tram
 from tramstream.recorder import events as recorder
 from tramstream.recorder.file import events as record
 from tramstream.supervision import events as supervision
 
 TABLES: dict[ModuleType, str] = {
     live: "Nodes, their inputs and devices",
+    ekf: "Localisation",
+    fixes: "Fixes that no localiser uses",
+    tram: "The filter `tram`",
+    kaspar2023: "The filter `kaspar2023`",
+    distance: "Distance and speed",
     supervision: "Processes",
     recorder: "Recorder",
     record: "Files of records",

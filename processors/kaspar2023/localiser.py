@@ -31,9 +31,11 @@ from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.estimation.fixes import antenna_l, deviations, unusable
 from tramstream.estimation.localiser import Array, Estimate, Learned, OnTrack, Verdict, values_of
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.events import HEADING_LOST
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter, warm_up
 from tramstream.processors.kaspar2023.model import SIZE, STEP_S, Ix
 from tramstream.processors.kaspar2023.predictor import Ahead
@@ -98,7 +100,9 @@ class Kaspar2023Localiser:
     def __init__(self, vehicle: Vehicle) -> None:
         imu = vehicle.imu
         if imu is None:
-            raise ConfigError("$.imu: the model kaspar2023 needs an IMU; $.ekf.model may be tram")
+            raise ConfigError(
+                "$.imu: the model kaspar2023 needs an IMU", cure="$.ekf.model may be tram"
+            )
         C_vb = C_vl(*np.radians(imu.mounting_deg)).T
         self._axes = np.zeros((4, 6))  # of accelerometer and gyroscopes, case axes, to (f_x, ω_v)
         self._axes[0, :3], self._axes[1:, 3:] = C_vb[0], C_vb
@@ -118,7 +122,7 @@ class Kaspar2023Localiser:
         self._fix = np.zeros((3, 3))  # newest: antenna in l, variances, where the filter had it
         self._start_fix = np.zeros((3, 3))  # likewise, the last taken standing
         self._fix_ns = 0
-        self._complaints: list[str] = []
+        self._complaints: list[Event] = []
         warm_up(Q)
 
     @property
@@ -177,10 +181,10 @@ class Kaspar2023Localiser:
         return True
 
     def _usable(self, fix: GnssFix) -> bool:
-        reason = unusable(fix, self._level) if fix.valid else ""
-        if reason:
-            self._complaints.append(f"{reason} was left out")
-        return fix.valid and not reason
+        reason = unusable(fix, self._level) if fix.valid else None
+        if reason is not None:
+            self._complaints.append(reason)
+        return fix.valid and reason is None
 
     def _lay(self, level: LocalLevel) -> None:
         self._level = level
@@ -226,7 +230,7 @@ class Kaspar2023Localiser:
     def _advance(self, dt_s: float) -> None:
         """Predict in steps of about `STEP_S`; over too long a gap nothing is known."""
         if dt_s > MAX_GAP_S:
-            self._complaints.append(f"{dt_s:.1f} s without inertial data: the heading is lost")
+            self._complaints.append(HEADING_LOST(silence_s=dt_s, limit_s=MAX_GAP_S))
             self._lose()
             return
         steps = max(1, round(dt_s / STEP_S))
@@ -249,7 +253,7 @@ class Kaspar2023Localiser:
     def _take_wheels(self, odometry: Odometry) -> list[Verdict]:
         reading = self._wheels.read(odometry)
         if isinstance(reading, Refused):
-            self._complaints.append(reading.reason)
+            self._complaints.append(reading.why)
         if not isinstance(reading, Reading):
             return []
         self._filter.update(
@@ -322,7 +326,7 @@ class Kaspar2023Localiser:
             for slot, name, unit in _NAMES
         ]
 
-    def complaints(self) -> list[str]:
+    def complaints(self) -> list[Event]:
         """See `tramstream.estimation.localiser.Localiser`."""
         found, self._complaints = self._complaints, []
         return found
@@ -342,7 +346,6 @@ class Kaspar2023Localiser:
             "fix_ns": self._fix_ns,
             "wheels": self._wheels.snapshot(),
             "ahead": self._ahead.snapshot(),
-            "complaints": list(self._complaints),
         }
 
     def restore(self, state: State) -> None:
@@ -356,7 +359,7 @@ class Kaspar2023Localiser:
         self._fix, self._start_fix = state["fix"].copy(), state["start_fix"].copy()
         self._wheels.restore(state["wheels"])
         self._ahead.restore(state["ahead"])
-        self._complaints = list(state["complaints"])
+        self._complaints = []
 
 
 def _start_std(vehicle: Vehicle) -> Array:

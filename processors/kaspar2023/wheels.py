@@ -13,11 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
+from tramstream.events.kinds import Event
 from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.events import WHEELS_JUMPED
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 
 MESSAGE_S = 0.02
@@ -48,7 +51,7 @@ class Reading(NamedTuple):
 class Refused(NamedTuple):
     """Why a message was not used."""
 
-    reason: str
+    why: Event
 
 
 class WheelPair:
@@ -92,7 +95,8 @@ class WheelPair:
         longest_s = max(interval_s, MESSAGE_S)  # stamps that jitter together are no reset
         most = max(counts, key=abs)
         if abs(most) * self._m_per_pulse > MAX_SPEED_MPS * longest_s:
-            return Refused(f"wheels jumped by {most} pulses in {interval_s:.3f} s")
+            facts = {"interval_s": interval_s, "limit_mps": MAX_SPEED_MPS}
+            return Refused(WHEELS_JUMPED(key=keys.ODO_WHEELS.path, pulses=most, **facts))
         scale = MESSAGE_S / self._regular_s(interval_s)
         return self._reading([count * scale for count in counts], QUANTISATION * scale**2)
 

@@ -11,9 +11,11 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.estimation.localiser import Estimate, OnTrack
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import State
+from tramstream.processors.localisation.events import MAP_FAR, MAP_REFUSED
 from tramstream.processors.matching.matcher import Match, Matcher
 from tramstream.proto.estimate_pb2 import MapAlternative, MapMatch
 from tramstream.tracks import network as networks
@@ -45,14 +47,14 @@ class Matched:
 
     def __init__(self, vehicle: Vehicle) -> None:
         assert vehicle.map is not None
-        self.complaints: list[str] = []
+        self.complaints: list[Event] = []
         self._matcher: Matcher | None = None
         self._frame: MapFrame | None = None
         self._told_far = False
         try:
             network = networks.load(Path(vehicle.map.network))
         except ConfigError as error:
-            self.complaints.append(f"$.map.network: {error}; localisation goes on without the map")
+            self.complaints.append(MAP_REFUSED(reason=error.reason, advice=error.cure))
             return
         lever_m = math.hypot(*vehicle.gnss.lever_arm_m[:2]) if vehicle.gnss is not None else 0.0
         self._matcher = Matcher(network, vehicle.map, pivot_m=vehicle.ekf.pivot_m, lever_m=lever_m)
@@ -86,10 +88,8 @@ class Matched:
         away_m = matcher.away_m()
         if away_m > FAR_M:
             self._told_far = True
-            self.complaints.append(
-                f"the vehicle is {away_m / 1000.0:.1f} km from the nearest track of the map "
-                f"({matcher.network.source or 'of unknown source'}); localisation goes on without"
-            )
+            source = matcher.network.source or "of unknown source"
+            self.complaints.append(MAP_FAR(distance_m=away_m, source=source, limit_m=FAR_M))
 
     def snapshot(self) -> State:
         matcher, frame = self._matcher, self._frame

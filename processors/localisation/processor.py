@@ -16,17 +16,21 @@ from statistics import NormalDist
 from typing import cast
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Ekf, Vehicle
+from tramstream.estimation import events as fix_events
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.estimation.published import Places, PlacesMemory
+from tramstream.events import declared
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import Processor, Sample, State
+from tramstream.processors.kaspar2023 import events as kaspar2023_events
+from tramstream.processors.localisation import events as own_events
 from tramstream.processors.localisation.matching import Matched, location_of
 from tramstream.processors.localisation.models import localiser, traced
+from tramstream.processors.tram import events as tram_events
 from tramstream.processors.tram.smoother import smooth
 from tramstream.processors.tram.trace import Trace, Tracer
 from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
@@ -34,12 +38,9 @@ from tramstream.proto.sync_pb2 import SyncFrame
 
 LOCATION_EVERY = 10
 """Of the states for now: viewers draw maps at 10 Hz."""
-REPEAT_S = 10.0
-"""The same sentence is said again only after so long."""
 MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
-LOG = keys.LOG.at("ekf")
 _KNOWN = LocationFix.PositionCovarianceType.KNOWN
 
 
@@ -57,8 +58,8 @@ class LocalisationFilter(Processor):
         keys.EST_PARAMETERS,
         keys.MAP_MATCH,
         keys.MAP_LOCATION,
-        LOG,
     )
+    events = declared(own_events, fix_events, tram_events, kaspar2023_events)
     pacing = (keys.SYNC_FRAME,)
     demanding = True
 
@@ -73,7 +74,6 @@ class LocalisationFilter(Processor):
         self._map = Matched(vehicle) if vehicle.map is not None else None
         self._match_count = 0
         self._second = 0
-        self._said: dict[str, int] = {}
         self._now_count = 0
         self._now_ns = 0  # stamp of the last state for now
         self._tracer: Tracer | None = None
@@ -118,8 +118,9 @@ class LocalisationFilter(Processor):
         if second != self._second:
             self._second = second
             made += self._learned(sample.stamp_ns)
-        for sentence in self.localiser.complaints():
-            made += self._say(sentence, sample.stamp_ns)
+            made += self.overdue_events(sample.stamp_ns)
+        for event in self.localiser.complaints():
+            made += self.raise_event(event, sample.stamp_ns)
         return made
 
     def _match(self, with_map: Matched, estimate: Estimate) -> list[Sample]:
@@ -137,8 +138,8 @@ class LocalisationFilter(Processor):
             if self._match_count % LOCATION_EVERY == 0 and match.state == MapMatch.ON_TRACK:
                 made.append(self.emit(keys.MAP_LOCATION, location_of(match), stamp_ns))
             self._match_count += 1
-        for sentence in with_map.complaints:
-            made += self._say(sentence, estimate.stamp_ns)
+        for event in with_map.complaints:
+            made += self.raise_event(event, estimate.stamp_ns)
         with_map.complaints.clear()
         return made
 
@@ -150,7 +151,7 @@ class LocalisationFilter(Processor):
             self._tracer.restarted()
             self.localiser = traced(self._vehicle, self._tracer)
         self._places = None
-        return self._say("the filter's state was no number; it starts again", stamp_ns)
+        return self.raise_event(own_events.NO_NUMBER(), stamp_ns)
 
     def _learned(self, stamp_ns: int) -> list[Sample]:
         learned = self.localiser.learned()
@@ -164,15 +165,6 @@ class LocalisationFilter(Processor):
             ],
         )
         return [self.emit(keys.EST_PARAMETERS, message, stamp_ns)]
-
-    def _say(self, sentence: str, stamp_ns: int) -> list[Sample]:
-        last_ns = self._said.get(sentence)
-        if last_ns is not None and stamp_ns - last_ns < REPEAT_S * S:
-            return []
-        self._said[sentence] = stamp_ns
-        self._said = {text: ns for text, ns in self._said.items() if stamp_ns - ns < REPEAT_S * S}
-        log = Log(level=Log.Level.WARNING, message=sentence, name=self.name)
-        return [self.emit(LOG, log, stamp_ns)]
 
     def _here(self) -> Places:
         level, places = self.localiser.level, self._places
@@ -228,7 +220,6 @@ class LocalisationFilter(Processor):
             "sequences": self.sequences(),
             "localiser": self.localiser.snapshot(),
             "second": self._second,
-            "said": dict(self._said),
             "map": None if self._map is None else self._map.snapshot(),
             "match_count": self._match_count,
             "now_count": self._now_count,
@@ -239,7 +230,7 @@ class LocalisationFilter(Processor):
     def restore(self, state: State) -> None:
         self.restore_sequences(state["sequences"])
         self.localiser.restore(state["localiser"])
-        self._second, self._said = state["second"], dict(state["said"])
+        self._second = state["second"]
         self._now_count, self._now_ns = state["now_count"], state["now_ns"]
         self._places = None
         level = self.localiser.level

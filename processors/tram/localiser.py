@@ -18,12 +18,16 @@ from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.estimation.fixes import FAR_M, antenna_l, unusable
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
 from tramstream.processors.tram import estimate as estimates
+from tramstream.processors.tram import events
 from tramstream.processors.tram.filter import GYRO_Z, SPEED
+from tramstream.processors.tram.gnss import HOPELESS as TAKEN_TIMES
+from tramstream.processors.tram.gnss import HOPELESS_S as TAKEN_WITHIN_S
 from tramstream.processors.tram.gnss import doubts, velocity
 from tramstream.processors.tram.heading import Search
 from tramstream.processors.tram.navigation import Navigation, Watcher
@@ -75,7 +79,7 @@ class TramLocaliser:
         self._back_ns = (0, 0)  # first and last stamp of frames that went on from an earlier time
         self._far_ns = (0, 0)  # first and last of those fixes in a row that are far away
         self._inertial = False
-        self._complaints: list[str] = []
+        self._complaints: list[Event] = []
         self._ahead = Ahead(vehicle)
         self._last: Estimate | None = None
 
@@ -93,7 +97,7 @@ class TramLocaliser:
         navigation = self._navigation
         if self._silence.see(frame):
             slipping_s = navigation.wheels.slipping_s(self._stamp_ns) if navigation else 0.0
-            self._complaints += self._silence.sentences(self._stamp_ns, slipping_s)
+            self._complaints += self._silence.missing(self._stamp_ns, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
@@ -111,10 +115,10 @@ class TramLocaliser:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
         if navigation.fixes.hopeless:
-            self._begin_again("the position was taken from the fixes again and again")
+            self._begin_again(events.HOPELESS(times=TAKEN_TIMES, within_s=TAKEN_WITHIN_S))
             return None
         if self._far_ns[0] and self._began_elsewhere():
-            self._begin_again("fixes stay far away from where the ride began")
+            self._begin_again(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
             return None
         if self._watcher is not None and self._aligned:
             self._watcher.believed(navigation)
@@ -127,8 +131,8 @@ class TramLocaliser:
             if not fix.valid:
                 continue
             reason = unusable(fix, None)
-            if reason:
-                self._complaints.append(f"{reason} was left out")
+            if reason is not None:
+                self._complaints.append(reason)
                 continue
             level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
             self._navigation = navigation = Navigation(self._vehicle, level, self._watcher)
@@ -170,9 +174,9 @@ class TramLocaliser:
     def _see(self, navigation: Navigation, fix: GnssFix) -> None:
         """Take note of a fix, apart from the filter."""
         reason = unusable(fix, navigation.level)
-        if reason:
-            self._complaints.append(f"{reason} was left out")
-            if not unusable(fix, None):
+        if reason is not None:
+            self._complaints.append(reason)
+            if unusable(fix, None) is None:
                 self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
             return
         self._complaints += doubts(fix)
@@ -249,9 +253,7 @@ class TramLocaliser:
         if self._aligned and self._parked is None and self._standstill.standing:
             self._parked = Parked(navigation)
         if silent_s > BLIND_S:
-            self._complaints.append(
-                "no sensor has told of the motion for more than 5 s; the heading is sought anew"
-            )
+            self._complaints.append(events.HEADING_LOST(silence_s=silent_s, limit_s=BLIND_S))
             self._aligned, self._search = False, None
             self._way_m += UNSEEN_MPS * silent_s
             navigation.lose_heading()
@@ -272,9 +274,9 @@ class TramLocaliser:
         self._parked = None
 
     # Another beginning ---------------------------------------------------------------------------
-    def _begin_again(self, sentence: str) -> None:
+    def _begin_again(self, why: Event) -> None:
         """Forget everything."""
-        self._complaints.append(f"{sentence}; the filter begins anew")
+        self._complaints.append(why)
         self.restore(TramLocaliser(self._vehicle).snapshot())
 
     def _set_back(self, stamp_ns: int) -> bool:
@@ -283,10 +285,11 @@ class TramLocaliser:
         if not 0 < stamp_ns - last_ns < BACK_S * S:
             first_ns = stamp_ns
         self._back_ns = (first_ns, stamp_ns)
+        back_s = (self._stamp_ns - stamp_ns) / S
         if stamp_ns - first_ns < BACK_S * S:
-            self._complaints.append("time ran backwards; the frame was left out")
+            self._complaints.append(events.TIME_BACKWARDS(back_s=back_s))
             return False
-        self._begin_again("time goes on from an earlier instant")
+        self._begin_again(events.SET_BACK(back_s=back_s))
         return True
 
     def _began_elsewhere(self) -> bool:
@@ -336,7 +339,7 @@ class TramLocaliser:
     def learned(self) -> list[Learned]:
         return [] if self._navigation is None else self._navigation.learned()
 
-    def complaints(self) -> list[str]:
+    def complaints(self) -> list[Event]:
         found, self._complaints = self._complaints, []
         return found
 

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tramstream import keys
 from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle
@@ -22,9 +23,11 @@ from tramstream.estimation.localiser import (
     Verdict,
 )
 from tramstream.estimation.records import numbers, one
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.processors.tram.coasting import BRIDGED_S, HELD_S, RATE_HELD_S, MotionNoise
 from tramstream.processors.tram.estimate import learned
+from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
 from tramstream.processors.tram.filter import GYRO_Z, TramFilter
 from tramstream.processors.tram.gnss import Fixes
 from tramstream.processors.tram.wheels import WheelPair
@@ -55,7 +58,6 @@ BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
 ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
-ASTRAY = "a measurement that is not of its frame's time was left out"
 LOST_S = 5.0
 """Without an accepted fix for so long it is dead reckoning."""
 
@@ -105,7 +107,7 @@ class Navigation:
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
-        self.complaints: list[str] = []
+        self.complaints: list[Event] = []
         self.given: list[Verdict] = []
         """Verdicts on what was taken since the last frame."""
         imu = vehicle.imu
@@ -170,7 +172,7 @@ class Navigation:
         anew = pause and (dt > BRIDGED_S or self._now["accelerometer"][0] == 0.0)
         lasts = 0.0 if anew else dt
         if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
-            self.complaints.append("an inertial reading that cannot be was left out")
+            self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
             return False
         self._read_ns = stamp_ns
         if anew:
@@ -225,7 +227,7 @@ class Navigation:
             for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
                 if not ekf.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
-                    self.complaints.append(ASTRAY)
+                    self.complaints.append(_astray(measurement, frame_ns))
                     continue
                 if stamp_ns < frame_ns:
                     ekf.go_to(stamp_ns, self.between, standing)
@@ -273,13 +275,16 @@ class Navigation:
         if isinstance(measurement, GnssFix):
             if not measurement.valid or unusable(measurement, self.level):
                 return []
-            verdicts, sentence = self.fixes.take(measurement, self.ekf, self.level, standing)
-            if sentence:
-                self.complaints.append(sentence)
+            verdicts, found = self.fixes.take(measurement, self.ekf, self.level, standing)
+            self.complaints += found
             return verdicts
         if not self.wheels.known:
             self.wheels.assign(measurement, self.ekf)
-        return self.wheels.take(measurement, self.ekf)
+        verdicts = self.wheels.take(measurement, self.ekf)
+        for verdict in verdicts:
+            if not verdict.accepted:
+                self.complaints += self.wheels.refusal(verdict)
+        return verdicts
 
     # Changes of the situation --------------------------------------------------------------------
     def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
@@ -354,6 +359,12 @@ class Navigation:
         self.given = [Verdict(*each) for each in state["given"]]
         if self._watcher is not None:
             self._watcher.go_back(self, state.get("watched", 0))
+
+
+def _astray(measurement: Any, frame_ns: int) -> Event:
+    key = keys.GNSS_FIX if isinstance(measurement, GnssFix) else keys.ODO_WHEELS
+    off_s = abs(measurement.stamp_ns - frame_ns) / S
+    return ASTRAY(key=key.path, off_s=off_s, limit_s=ASTRAY_NS / S)
 
 
 _stamp: Callable[[Any], int] = attrgetter("stamp_ns")

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -160,8 +161,8 @@ class Localiser(Protocol):
     def learned(self) -> list[Learned]:
         """Biases, scales, offsets as they stand."""
 
-    def complaints(self) -> list[str]:
-        """Sentences about bad input since the last call, for health."""
+    def complaints(self) -> list[Event]:
+        """What was wrong with its input since the last call, for health."""
 
     def snapshot(self) -> State:
         """Memory as plain data that shares nothing with the filter."""

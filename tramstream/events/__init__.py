@@ -2,4 +2,5 @@
 
 from tramstream.events.kinds import Event as Event
 from tramstream.events.kinds import Kind as Kind
+from tramstream.events.kinds import declared as declared
 from tramstream.events.kinds import define as define

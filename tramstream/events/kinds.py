@@ -20,6 +20,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from types import ModuleType
 from typing import Any
 
 from tramstream.events import sentences
@@ -125,6 +126,13 @@ def define(
         if named not in facts:
             raise ValueError(f"event {name}: the sentence names {named}, which is no fact of it")
     return Kind(name, sentence, cause, cure, severity, facts)
+
+
+def declared(*tables: ModuleType) -> tuple[Kind, ...]:
+    """Kinds that modules declare: what a processor raises out of them."""
+    return tuple(
+        each for table in tables for each in vars(table).values() if isinstance(each, Kind)
+    )
 
 
 def _value(of: Kind, name: str, value: Any) -> Value:
