@@ -151,6 +151,8 @@ class Processor(ABC):
         return [each for event, more in found for each in self._said(event, more, stamp_ns)]
 
     def _said(self, event: Event, unsaid: int, stamp_ns: int) -> list[Sample]:
+        if event.kind not in self.events:
+            raise ValueError(f"{self.name} raises {event.kind}, which is none of its events")
         message = message_of(event, self.name, unsaid)
         return [
             self.emit(keys.EVENT.at(self.name), message, stamp_ns),

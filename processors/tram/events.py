@@ -2,8 +2,8 @@
 
 The limit of a refusal is that of the innovation gate: so many deviations of the innovation, which
 are those of the filter and of the measurement together (docs/theory.md, section 6). The number of
-deviations is a constant, for it says how rarely an honest measurement is refused; what a measurement
-is taken to err is set, and named by each kind.
+deviations is a constant, for it says how rarely an honest measurement is refused; what a
+measurement is taken to err is set, and named by each kind.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ FIX_REFUSED = define(
     "tram.fix_refused",
     "{key}: a fix is refused, innovation {innovation_m}, limit {limit_m}: {gate_sigma} of filter "
     "and receiver, which says {accuracy_m}",
-    cause="Multipath, a spoofed or repeated fix, or a filter that is wrong. One that is refused for "
-    "8 s is taken for a new error of the fixes. $.gnss.error_floor_m is the least that a receiver is "
-    "taken to err.",
+    cause="Multipath, a spoofed or repeated fix, or a filter that is wrong. After 8 s it is taken "
+    "for a new error of the fixes. $.gnss.error_floor_m is the least that a receiver is taken to "
+    "err.",
     cure="if good fixes are refused, raise $.gnss.error_floor_m",
     key=str,
     innovation_m=float,
@@ -54,7 +54,7 @@ WHEEL_SPEED_REFUSED = define(
     "tram.wheel_speed_refused",
     "{key}: the speed of wheel {wheel} is refused, innovation {innovation_mps}, limit {limit_mps}: "
     "{gate_sigma} of filter and wheel ($.wheels.speed_std_mps)",
-    cause="The wheel slips or slides; if it lasts for 20 s the filter's speed is taken to be wrong.",
+    cause="The wheel slips or slides; after 20 s the filter's speed is taken to be wrong.",
     cure="if it happens on dry rail, correct the signal's scale in the DBC",
     key=str,
     wheel=str,
@@ -62,6 +62,8 @@ WHEEL_SPEED_REFUSED = define(
     limit_mps=float,
     gate_sigma=float,
 )
+REFUSALS = (FIX_REFUSED, VELOCITY_REFUSED, WHEEL_REFUSED, WHEEL_SPEED_REFUSED)
+"""No news while two directions are tried, of which one is wrong."""
 SLIPPING = define(
     "tram.slipping",
     "{key}: a wheel has not fitted the motion for {slipping_s}, limit {limit_s}",
@@ -115,7 +117,7 @@ IMPOSSIBLE_READING = define(
 )
 ASTRAY = define(
     "tram.astray",
-    "{key}: a measurement is not of its frame's time, {off_s} off, limit {limit_s}; it was left out",
+    "{key}: a measurement was left out, it is {off_s} off its frame's time, limit {limit_s}",
     cause="Its stamp is wrong, or whoever makes frames does not order them.",
     cure="look at the clock of that device",
     key=str,
@@ -166,10 +168,10 @@ POSITION_TAKEN = define(
     away_m=float,
     lasted_s=float,
 )
-HOPELESS = define(
+NO_HOPE = define(
     "tram.hopeless",
     "the position was taken from the fixes {times} times within {within_s}; the filter begins anew",
-    cause="The filter does not know what it does: a wrong configuration, or sensors that are wrong.",
+    cause="The filter does not know what it does: the configuration or the sensors are wrong.",
     cure="check $.wheels, $.imu.mounting_deg and $.gnss.lever_arm_m",
     severity=ERROR,
     times=int,

@@ -27,6 +27,7 @@ from tramstream.processors.tram.events import (
     FIRST_FIXES_WRONG,
     FIX_REFUSED,
     IMPOSSIBLE_VELOCITY,
+    NO_HOPE,
     POSITION_TAKEN,
     VELOCITY_REFUSED,
 )
@@ -115,9 +116,11 @@ class Fixes:
         self._taken_ns: list[int] = []  # when the position was taken from the fixes
 
     @property
-    def hopeless(self) -> bool:
-        """Whether the position has been taken from the fixes again and again."""
-        return len(self._taken_ns) >= HOPELESS
+    def hopeless(self) -> Event | None:
+        """That the position has been taken from the fixes again and again, if it has."""
+        if len(self._taken_ns) < HOPELESS:
+            return None
+        return NO_HOPE(times=HOPELESS, within_s=HOPELESS_S)
 
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""

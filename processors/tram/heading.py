@@ -21,6 +21,7 @@ from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
 from tramstream.processors.tram.alignment import Alignment
+from tramstream.processors.tram.events import REFUSALS
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram_model.records import Z
 from tramstream.processors.tram_model.states import Ix
@@ -166,6 +167,8 @@ class Search:
         self._tried.sort(key=lambda each: -float(each["likelihood"]))
         first, last = self._tried[0], self._tried[-1]
         _load(navigation, first)
+        told = [each for each in navigation.complaints if each.kind not in REFUSALS]
+        navigation.complaints[:] = told
         sure = len(self._tried) == 1 or not first["likelihood"] - last["likelihood"] < SURE
         self.found = sure or self._alignment.way_m > UNSURE_WAY_M
         if self.found:

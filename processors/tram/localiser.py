@@ -26,8 +26,6 @@ from tramstream.processor import State
 from tramstream.processors.tram import estimate as estimates
 from tramstream.processors.tram import events
 from tramstream.processors.tram.filter import GYRO_Z, SPEED
-from tramstream.processors.tram.gnss import HOPELESS as TAKEN_TIMES
-from tramstream.processors.tram.gnss import HOPELESS_S as TAKEN_WITHIN_S
 from tramstream.processors.tram.gnss import doubts, velocity
 from tramstream.processors.tram.heading import Search
 from tramstream.processors.tram.navigation import Navigation, Watcher
@@ -114,8 +112,8 @@ class TramLocaliser:
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
-        if navigation.fixes.hopeless:
-            self._begin_again(events.HOPELESS(times=TAKEN_TIMES, within_s=TAKEN_WITHIN_S))
+        if navigation.fixes.hopeless is not None:
+            self._begin_again(navigation.fixes.hopeless)
             return None
         if self._far_ns[0] and self._began_elsewhere():
             self._begin_again(events.BEGAN_ELSEWHERE(limit_m=FAR_M))

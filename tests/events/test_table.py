@@ -100,6 +100,10 @@ HEALS = {
     "supervisor.node_gone",
     "supervisor.node_frozen",
     "supervisor.bus_dead",
+    "ekf.no_number",
+    "tram.first_fixes_wrong",
+    "tram.began_elsewhere",
+    "tram.set_back",
     "input.not_used",  # stands beside the one that says which
     "memory.taken",
     "memory.of_others",

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import networks
 import numpy as np
@@ -22,10 +23,12 @@ from tramstream import keys
 from tramstream.config import Map
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import TRACKING, OnTrack
+from tramstream.events.messages import facts_of
 from tramstream.lines.line import Line
 from tramstream.live import snapshots
 from tramstream.processor import Sample
-from tramstream.processors.localisation.processor import LOG, LocalisationFilter
+from tramstream.processors.localisation.events import MAP_FAR, MAP_REFUSED
+from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import SIZE, Ix
@@ -35,6 +38,7 @@ from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 from tramstream.tracks.network import BACKWARDS, FORWARDS, Network
 
+EVENT = keys.EVENT.at("ekf")
 STD_M = 0.05
 """Of the map of these rides; its geometry is exact."""
 CITY = {
@@ -218,8 +222,10 @@ class Output:
         return [each.message for each in self.samples if each.key is keys.MAP_MATCH]
 
     @property
-    def sentences(self) -> list[str]:
-        return [each.message.message for each in self.samples if each.key is LOG]
+    def events(self) -> list[tuple[str, dict[str, Any]]]:
+        """Kind and facts."""
+        told = [each.message for each in self.samples if each.key == EVENT]
+        return [(event.kind, facts_of(event)) for event in told]
 
     def packed(self) -> list[bytes]:
         return [each.message.SerializeToString() for each in self.samples]
@@ -328,7 +334,7 @@ def test_matches_of_a_ride_are_those_of_its_states(short_map: Path) -> None:
         place = np.radians([match.latitude_deg, match.longitude_deg])
         plan = network.plan_of(network.level.to_geodetic(laid(SHORT).position_l(match.chainage_m)))
         np.testing.assert_allclose(network.plan_of(place), plan, atol=0.01)
-    assert said.sentences == without_map(1).sentences
+    assert said.events == without_map(1).events
 
 
 def test_published_place_on_the_track_does_not_jump(short_map: Path) -> None:
@@ -535,12 +541,10 @@ def test_map_that_cannot_be_read_is_said_once_and_changes_nothing(how: str, tmp_
     plain = step(LocalisationFilter(ride.simulation.vehicle), frames)
     assert_same_states(said, plain)
     assert said.matches == []
-    about = [each for each in said.sentences if each not in plain.sentences]
-    assert len(about) == 1
-    assert about[0].startswith("$.map.network: ")
-    assert str(path) in about[0]
-    assert "without the map" in about[0]
-    assert "\n" not in about[0]
+    ((kind, facts),) = [each for each in said.events if each not in plain.events]
+    assert kind == MAP_REFUSED.name
+    assert str(path) in facts["reason"]
+    assert "\n" not in facts["reason"]
 
 
 def test_map_of_another_place_is_said_once_and_changes_nothing(tmp_path: Path) -> None:
@@ -550,10 +554,10 @@ def test_map_of_another_place_is_said_once_and_changes_nothing(tmp_path: Path) -
     )
     said = step(with_map(ride, saved(away, tmp_path / "far.net")), ride.frames)
     assert_same_states(said, without_map(1))
-    about = [each for each in said.sentences if each not in without_map(1).sentences]
-    assert len(about) == 1
-    assert "km from the nearest track" in about[0]
-    assert "Brno" in about[0]
+    ((kind, facts),) = [each for each in said.events if each not in without_map(1).events]
+    assert kind == MAP_FAR.name
+    assert "Brno" in facts["source"]
+    assert facts["distance_m"] > facts["limit_m"]
     assert {each.state for each in said.matches} == {MapMatch.OFF_MAP}
     assert not [each for each in said.samples if each.key is keys.MAP_LOCATION]
 
