@@ -165,7 +165,7 @@ def _event_row(found: KeyStats, message: Event, now_ns: int) -> EventRow:
         facts=facts_of(message),
         text=sentence_of(message),
         age_s=found.age_s(now_ns) or 0.0,
-        level=_level(message.severity),
+        level=Level.FINE if message.severity == Event.DEBUG else _level(message.severity),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tramstream.events.kinds import define
+from tramstream.events.kinds import DEBUG, define
 
 PATH_REFUSED = define(
     "distance.path_refused",
@@ -10,6 +10,7 @@ PATH_REFUSED = define(
     "($.distance.gate_sigma)",
     cause="A wheel slips or slides, or its counter has jumped.",
     cure="if it happens on dry rail, correct $.wheels.m_per_pulse",
+    severity=DEBUG,
     key=str,
     innovation_m=float,
     limit_m=float,
@@ -20,6 +21,7 @@ SPEED_REFUSED = define(
     "($.distance.gate_sigma)",
     cause="A wheel slips or slides, or the receiver errs.",
     cure="if good speeds are refused, raise $.distance.gate_sigma",
+    severity=DEBUG,
     key=str,
     innovation_mps=float,
     limit_mps=float,

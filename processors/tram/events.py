@@ -8,7 +8,7 @@ measurement is taken to err is set, and named by each kind.
 
 from __future__ import annotations
 
-from tramstream.events.kinds import ERROR, define
+from tramstream.events.kinds import DEBUG, ERROR, define
 
 FIX_REFUSED = define(
     "tram.fix_refused",
@@ -44,6 +44,7 @@ WHEEL_REFUSED = define(
     cause="The wheel slips or slides; it is believed again when it has gone the filter's way for "
     "0.8 s, or after 20 s.",
     cure="if it happens on dry rail, correct $.wheels.m_per_pulse",
+    severity=DEBUG,
     key=str,
     wheel=str,
     innovation_m=float,
@@ -56,6 +57,7 @@ WHEEL_SPEED_REFUSED = define(
     "{gate_sigma} of filter and wheel ($.wheels.speed_std_mps)",
     cause="The wheel slips or slides; after 20 s the filter's speed is taken to be wrong.",
     cure="if it happens on dry rail, correct the signal's scale in the DBC",
+    severity=DEBUG,
     key=str,
     wheel=str,
     innovation_mps=float,

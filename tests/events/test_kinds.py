@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tramstream.events import define
-from tramstream.events.kinds import ERROR, INFO, WARNING, Severity
+from tramstream.events.kinds import DEBUG, ERROR, INFO, WARNING, Severity
 from tramstream.events.messages import facts_of, identity_of, log_of, message_of, sentence_of
 from tramstream.events.sentences import UNITS, filled, quantity, unit_of
 from tramstream.proto import health_pb2
@@ -100,7 +100,8 @@ def test_what_was_not_said_is_counted_in_the_sentence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("severity", "level"), [(INFO, "INFO"), (WARNING, "WARNING"), (ERROR, "ERROR")]
+    ("severity", "level"),
+    [(DEBUG, "DEBUG"), (INFO, "INFO"), (WARNING, "WARNING"), (ERROR, "ERROR")],
 )
 def test_viewers_get_the_sentence_with_its_level(severity: Severity, level: str) -> None:
     log = log_of(message_of(define("test.x", "so it is", severity=severity)(), "ekf"))

@@ -63,6 +63,15 @@ def test_nodes_speak_and_a_state_is_told_when_it_changes() -> None:
     assert scene.beats == [("imu", 42)] * 6
 
 
+def test_details_are_for_whoever_looks_for_something() -> None:
+    scene = Scene()
+    for level in (Log.DEBUG, Log.INFO):
+        log = Log(name="ekf", message="a wheel", level=level)
+        scene.put(keys.LOG.at("ekf"), log.SerializeToString())
+    scene.voice.speak()
+    assert scene.said == ["ekf: a wheel"]
+
+
 def test_state_of_a_program_that_knows_no_events_is_told_by_its_text() -> None:
     scene = Scene()
     for text in ("", "late", "late", ""):

@@ -32,14 +32,18 @@ _FACT = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class Severity(IntEnum):
-    """How much attention an event deserves; `health.proto` has the same numbers."""
+    """How much attention an event deserves; `health.proto` has the same numbers.
+
+    DEBUG is for whoever looks for something: it is recorded and shown, and not said by `run`.
+    """
 
     INFO = 0
     WARNING = 1
     ERROR = 2
+    DEBUG = 3
 
 
-INFO, WARNING, ERROR = Severity
+INFO, WARNING, ERROR, DEBUG = Severity
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -12,6 +12,7 @@ _LEVELS = {
     Severity.INFO: Log.Level.INFO,
     Severity.WARNING: Log.Level.WARNING,
     Severity.ERROR: Log.Level.ERROR,
+    Severity.DEBUG: Log.Level.DEBUG,
 }
 
 

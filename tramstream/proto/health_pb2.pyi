@@ -14,9 +14,11 @@ class Event(_message.Message):
         INFO: _ClassVar[Event.Severity]
         WARNING: _ClassVar[Event.Severity]
         ERROR: _ClassVar[Event.Severity]
+        DEBUG: _ClassVar[Event.Severity]
     INFO: Event.Severity
     WARNING: Event.Severity
     ERROR: Event.Severity
+    DEBUG: Event.Severity
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]

@@ -103,7 +103,7 @@ class Voice:
         if isinstance(message, Undecodable):
             self._leave_out(message)
         elif isinstance(message, Log):
-            if node != SUPERVISOR:  # which speaks for itself
+            if node != SUPERVISOR and message.level != Log.Level.DEBUG:  # it speaks for itself
                 self._say(f"{message.name}: {message.message}")
         elif isinstance(message, NodeHealth):
             self._listener.heard(node, message.pid)
