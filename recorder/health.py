@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from tramstream import keys
 from tramstream.boundary import name_of
 from tramstream.clock import S
-from tramstream.events.messages import sentence_of
+from tramstream.events.messages import identity_of, sentence_of
 from tramstream.proto.health_pb2 import ClockReference, DeviceHealth, Event, Loss, NodeHealth
 
 SILENCE_NS = 5 * S
@@ -69,6 +69,7 @@ class Health:
     losses: list[Loss] = field(default_factory=list)
     happened: dict[tuple[str, str], Happened] = field(default_factory=dict)
     """Events by source and kind, in the order in which they came up."""
+    _told: set[tuple[str, str]] = field(default_factory=set)  # of these by events, not heartbeats
     _lines: dict[tuple[str, int, int], Sentence] = field(default_factory=dict)
     utc_offset_ns: int | None = None
     """Host's UTC minus vehicle clock, as last told; None if nobody did."""
@@ -87,6 +88,12 @@ class Health:
 def _add_node(health: Health, source: str, beat: NodeHealth) -> None:
     state = name_of(NodeHealth.State, beat.state)
     _extend(health.nodes.setdefault(source, []), state, beat.text, beat.stamp_ns)
+    before = health.last_of_node.get(source)
+    lasting = {identity_of(trouble) for trouble in before.troubles} if before is not None else set()
+    for trouble in beat.troubles:
+        begins = identity_of(trouble) not in lasting
+        if begins and (source, trouble.kind) not in health._told:
+            _happen(health, source, trouble, beat.stamp_ns)
     health.last_of_node[source] = beat
 
 
@@ -105,8 +112,16 @@ def _add_event(health: Health, source: str, event: Event) -> None:
     node, stamp_ns = event.source or source, event.stamp_ns
     place = (source, stamp_ns, event.sequence & 0xFFFFFFFF)
     health._lines[place] = Sentence(stamp_ns, level, node, text, event.kind)
+    health._told.add((source, event.kind))
+    _happen(health, source, event, stamp_ns)
+
+
+def _happen(health: Health, source: str, event: Event, stamp_ns: int) -> None:
+    """Count an event, or the beginning of a trouble that lasts."""
+    level, text = name_of(Event.Severity, event.severity), sentence_of(event)
     known = health.happened.get((source, event.kind))
     if known is None:
+        node = event.source or source
         known = Happened(node, event.kind, level, 0, stamp_ns, stamp_ns, text)
         health.happened[source, event.kind] = known
     known.count += 1 + event.unsaid

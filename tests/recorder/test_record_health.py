@@ -106,6 +106,17 @@ def test_event_and_its_sentence_are_one_line(order):
     assert (late.count, late.last, late.level) == (7, health.log[1].text, "WARNING")
 
 
+def test_trouble_that_lasts_has_happened_once_each_time_it_began():
+    health = Health()
+    for second, late_s in enumerate((0, 1, 2, 0, 5, 6)):
+        message = beat(second, NodeHealth.DEGRADED if late_s else NodeHealth.OK)
+        message.troubles.extend([message_of(LATE(device="a", late_s=late_s))] if late_s else [])
+        health.add(GNSS, message)
+    (late,) = health.happened.values()
+    assert (late.node, late.kind, late.count) == ("gnss", LATE.name, 2)
+    assert (late.first_ns, late.last_ns) == (START_NS + S, START_NS + 4 * S)
+
+
 def test_sentences_of_programs_that_know_no_events_are_all_there():
     """Also those of records that were made before there were events."""
     health = Health()
