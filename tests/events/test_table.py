@@ -102,6 +102,8 @@ HEALS = {
     "supervisor.node_gone",
     "supervisor.node_frozen",
     "supervisor.bus_dead",
+    "supervisor.recorder_deaf",  # `run` says how to see what is missing
+    "supervisor.recorder_broken_off",
     "ekf.no_number",
     "tram.first_fixes_wrong",
     "tram.began_elsewhere",

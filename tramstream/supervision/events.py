@@ -76,7 +76,6 @@ RECORDER_DEAF = define(
     "supervisor.recorder_deaf",
     "node {node} did not hear the others end; the last messages may be missing",
     cause="The recorder died or froze while the run ended: its last messages may be missing.",
-    cure="`tramstream info` says what is in the record",
     severity=ERROR,
     node=str,
 )
@@ -84,7 +83,6 @@ RECORDER_BROKEN_OFF = define(
     "supervisor.recorder_broken_off",
     "node {node} {how} at the end; what was published last may be missing",
     cause="The recorder did not end in order.",
-    cure="`tramstream info` says what is in the record",
     severity=ERROR,
     node=str,
     how=str,
