@@ -204,8 +204,8 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
         page.note("No node reported a loss.")
     page.heading("What happened")
     if health.happened:
-        head = ("first, UTC", "last, UTC", "who", "event", "level", "times", "the last of them")
-        rows = [
+        columns = ("first, UTC", "last, UTC", "who", "event", "level", "times", "the last of them")
+        happened = [
             (
                 clock(each.first_ns, material),
                 clock(each.last_ns, material),
@@ -217,8 +217,8 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
             )
             for each in health.happened.values()
         ]
-        page.table(head, rows[:MOST_ROWS])
-        _cut(page, len(rows))
+        page.table(columns, happened[:MOST_ROWS])
+        _cut(page, len(happened))
     else:
         page.note("No event is in the record.")
     page.heading("Log")
