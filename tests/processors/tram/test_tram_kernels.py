@@ -245,14 +245,14 @@ def test_parameters_are_frozen() -> None:
 
 def test_heading_that_is_set_moves_the_position_from_the_antenna_to_the_pivot() -> None:
     ekf = tram_filter(np.zeros(SIZE), np.eye(SIZE))
-    ekf.lose_heading()
+    ekf.forget_heading()
     fix = GnssPosition(10.0, 20.0, 1.0, gate=INFINITE, knee=INFINITE)
     ekf.apply(fix)
     innovation = ekf.y[:, 0]
     np.testing.assert_allclose(innovation, (10.0, 20.0))  # no lever arm
     ekf = tram_filter(np.zeros(SIZE), np.eye(SIZE))
-    ekf.lose_heading()
-    ekf.know_heading(math.pi / 2, 0.1)
+    ekf.forget_heading()
+    ekf.set_heading(math.pi / 2, 0.1)
     np.testing.assert_allclose(ekf.x[[Ix.EAST, Ix.NORTH, Ix.UP], 0], (0.3, -2.0, -3.0), atol=1e-12)
     ekf.apply(fix)
     np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))  # the antenna is where it was
