@@ -302,10 +302,10 @@ class Navigation:
     def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; see `TramFilter.set_heading`."""
         self.ekf.set_heading(yaw_rad, std_rad)
-        self.heading_is_known()
+        self.announce_heading()
 
-    def heading_is_known(self) -> None:
-        """Go on with a heading that is known, found or remembered."""
+    def announce_heading(self) -> None:
+        """Tell the watcher that the heading is known from here on, found or remembered."""
         if self._watcher is not None:
             self._watcher.heading_found(self)
 

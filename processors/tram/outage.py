@@ -131,7 +131,7 @@ class Parked:
         """Let the vehicle have stood all the time until `stamp_ns`."""
         navigation.forget_heading()  # whatever it went through meanwhile has ended
         navigation.restore(self._navigation)
-        navigation.heading_is_known()
+        navigation.announce_heading()
         navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)
