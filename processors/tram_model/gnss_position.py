@@ -4,8 +4,8 @@
 
 with the pivot's place p, the lever arm p_va, the correlated error of the fixes b, the antenna's
 velocity v_a, and the delay τ by which the fix's stamp is too late; n is the white part of the error
-(docs/theory.md, section 6). East and north are gated together; the height, which jumps more often,
-has a gate of its own and is linearised anew behind them.
+(docs/theory.md, section 6.2). East and north are gated together; the height, which jumps more
+often, has a gate of its own and is linearised anew behind them.
 """
 
 from __future__ import annotations

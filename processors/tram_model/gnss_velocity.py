@@ -3,7 +3,7 @@
     z = v_a − a_a τ + n
 
 with the antenna's velocity v_a and acceleration a_a, and the delay τ by which the stamp is too late
-(docs/theory.md, section 6; the velocity's lever arm: `lever_arm.py`).
+(docs/theory.md, section 6.4; the velocity's lever arm: `lever_arm.py`).
 """
 
 from __future__ import annotations
