@@ -16,7 +16,7 @@ from typing import Any
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import antenna_l, deviations
+from tramstream.estimation.fixes import FASTEST_MPS, antenna_l, deviations, velocity_l
 from tramstream.estimation.localiser import Verdict
 from tramstream.geodesy import LocalLevel
 from tramstream.processors.tram.filter import TramFilter
@@ -55,16 +55,6 @@ NEIGHBOURS_S = 3.0
 """Fixes that are less apart share most of their error; chosen by hand."""
 UNSHARED = 0.2
 """Of a fix's deviation that shows in the way between neighbours; chosen by hand."""
-FASTEST_MPS = 100.0
-"""No rail vehicle of this house is faster; a velocity beyond is none."""
-
-
-def velocity(fix: GnssFix) -> tuple[float, float] | None:
-    """East and north, m/s, if the receiver has measured what can be a velocity."""
-    if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
-        return None
-    east, north = fix.vel_e_mps, fix.vel_n_mps
-    return (east, north) if abs(east) + abs(north) < FASTEST_MPS else None
 
 
 def speed_over_ground(
@@ -79,7 +69,7 @@ def speed_over_ground(
     std_m : float
         Deviation of `fix` on each horizontal axis.
     """
-    measured = velocity(fix)
+    measured = velocity_l(fix, level)
     if measured is not None:
         return math.hypot(*measured)
     if last is None or not 0 < fix.stamp_ns - last.stamp_ns < NEIGHBOURS_S * S:
@@ -91,12 +81,12 @@ def speed_over_ground(
     return max(0.0, math.hypot(b[0] - a[0], b[1] - a[1]) - noise_m) / dt_s
 
 
-def doubts(fix: GnssFix) -> list[str]:
+def doubts(fix: GnssFix, level: LocalLevel) -> list[str]:
     """Sentences on what is taken of a usable fix for less than it claims to be."""
     found = []
     if not (math.isfinite(fix.horizontal_std_m) and fix.horizontal_std_m > 0.0):
         found.append("a fix without a usable accuracy was taken for a poor one")
-    if fix.HasField("vel_e_mps") and velocity(fix) is None:
+    if fix.HasField("vel_e_mps") and velocity_l(fix, level) is None:
         found.append("a fix's velocity that cannot be was left out")
     return found
 
@@ -146,7 +136,7 @@ class Fixes:
         sentence = self._absorb(fix.stamp_ns, verdicts, ekf, std) if refused else ""
         if not refused:
             self._refused_ns = 0
-        measured = None if standing else velocity(fix)
+        measured = None if standing else velocity_l(fix, level)
         if measured is not None:
             std_mps = _velocity_std(fix)
             verdicts += ekf.apply(GnssVelocity(*measured, std_mps * std_mps))

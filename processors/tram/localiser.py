@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.estimation.fixes import antenna_l, unusable, velocity_l
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
@@ -176,7 +176,7 @@ class TramLocaliser:
             if not unusable(fix, None):
                 self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
             return
-        self._complaints += doubts(fix)
+        self._complaints += doubts(fix, navigation.level)
         self._far_ns = (0, 0)
         std_m = navigation.accuracy_m(fix)
         speed = speed_over_ground(fix, self._last_fix, navigation.level, std_m)

@@ -13,6 +13,8 @@ WORST_STD_M = 1000.0
 """A fix whose stated deviation is larger tells nothing, m."""
 FAR_M = 200_000.0
 """A fix further from the origin of the level frame is not of this ride, m."""
+FASTEST_MPS = 100.0
+"""No rail vehicle of this house is faster; a velocity beyond is none."""
 HIGHEST_M = 9000.0
 """A fix higher or deeper than this is not near the ground (Mount Everest: 8849 m), m."""
 
@@ -53,6 +55,24 @@ def _is_far(fix: GnssFix, level: LocalLevel) -> bool:
     east = math.remainder(math.radians(fix.longitude_deg) - level.longitude_rad, math.tau)
     east *= radius * math.cos(level.latitude_rad)
     return not math.hypot(north, east) < FAR_M
+
+
+def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:
+    """East and north in `level`, m/s; None if the receiver has measured nothing that can be one.
+
+    The receiver's axes are those of its place, which the meridian convergence turns against those
+    of the level frame (docs/theory.md, section 2.2). Its up leans by a thousandth in ten
+    kilometres, by which no vertical speed of a rail vehicle shows here.
+    """
+    if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
+        return None
+    east, north = fix.vel_e_mps, fix.vel_n_mps
+    if not abs(east) + abs(north) < FASTEST_MPS:
+        return None
+    off = math.radians(fix.longitude_deg) - level.longitude_rad
+    angle = math.atan2(math.sin(level.latitude_rad) * math.sin(off), math.cos(off))
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * east - sin * north, sin * east + cos * north
 
 
 def antenna_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float, float]:

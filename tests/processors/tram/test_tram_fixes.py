@@ -10,14 +10,18 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rides import judged, laid, ridden, run
 from scipy.stats import chi2
 from test_tram_faults import PLAN, city
 
 from tramstream.bridges.gnss.nmea import Epoch, fix_of
-from tramstream.estimation.fixes import deviations
+from tramstream.clock import S
+from tramstream.estimation.fixes import deviations, velocity_l
+from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.sync_pb2 import SyncFrame
 
 FLOOR_M = 0.005
 RUNS = 40
@@ -60,3 +64,60 @@ def test_first_position_is_as_uncertain_on_each_axis_as_the_fix_is_wrong(
     for found, degrees in ((plane, 2 * RUNS), (height, RUNS)):
         low, high = chi2.ppf([0.005, 0.995], degrees)
         assert low < found < high
+
+
+# Velocities have the axes of their place ----------------------------------------------------------
+FAR_M = 20_000.0
+"""East of the frame's origin, where the meridians have turned by 0.21 degrees."""
+
+
+def test_velocity_is_turned_into_the_level_frame() -> None:
+    """Truth: a velocity in `l`, turned into the axes of a place by geodesy."""
+    level = LocalLevel.at_deg(50.08, 14.42, 250.0)
+    geodetic = level.to_geodetic([FAR_M, -3000.0, 40.0])
+    in_l = np.array([11.0, 5.0, 0.0])
+    east, north, up = C_nl(level, geodetic) @ in_l
+    latitude_deg, longitude_deg = np.degrees(geodetic[:2])
+    fix = GnssFix(
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        vel_e_mps=east,
+        vel_n_mps=north,
+        vel_d_mps=-up,
+    )
+    found = velocity_l(fix, level)
+    assert found == pytest.approx(in_l[:2], abs=1e-4)
+    assert abs(east - in_l[0]) > 0.01  # what is at stake
+
+
+def test_heading_does_not_depend_on_where_the_frame_was_laid() -> None:
+    """Truth: the same ride in a frame laid in its middle; the other frame lies far to the west."""
+    ride = ridden(laid(PLAN), city(), 3, 150.0)
+    near = TramLocaliser(ride.simulation.vehicle)
+    first = next(frame for frame in ride.frames if frame.gnss)
+    away = ride.simulation.line.level.to_geodetic([-5 * FAR_M, 0.0, 0.0])
+    elsewhere = SyncFrame()
+    elsewhere.CopyFrom(first)
+    for fix in elsewhere.gnss:
+        fix.latitude_deg, fix.longitude_deg = np.degrees(away[:2])
+    far = TramLocaliser(ride.simulation.vehicle)
+    frames = [elsewhere if frame is first else frame for frame in ride.frames]
+    yaws = [yaw_of_place(each, given) for each, given in ((near, ride.frames), (far, frames))]
+    assert far.level is not None
+    assert far.level.longitude_rad == pytest.approx(float(away[1]), abs=1e-6)
+    # The meridians have turned by 0.0187; the far filter has lost its first fix at the start.
+    assert np.max(np.abs(yaws[1] - yaws[0])) < 0.003
+
+
+def yaw_of_place(localiser: TramLocaliser, frames: list[SyncFrame]) -> NDArray[np.float64]:
+    """Yaw against east of the place in the last 20 s."""
+    late = [
+        each
+        for each in run(localiser, frames)
+        if each.stamp_ns > frames[-1].stamp_ns - 20 * S and not each.standing
+    ]
+    level = localiser.level
+    assert level is not None
+    longitude = level.to_geodetic(np.array([each.p_l for each in late]))[:, 1]
+    yaw: NDArray[np.float64] = np.array([each.motion[6] for each in late])
+    return yaw - convergence_rad(level, longitude)
