@@ -310,11 +310,12 @@ class TramFilter:
         x[Ix.EAST] -= east
         x[Ix.NORTH] -= north
         x[Ix.UP] -= az
-        # An error of the heading moves the vehicle about the antenna.
-        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            P[state, :] += moved * P[Ix.YAW, :]
-        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            P[:, state] += moved * P[:, Ix.YAW]
+        # An error of the heading moves the pivot about the antenna, one of its place along x.
+        moved = ((Ix.EAST, north, -cos), (Ix.NORTH, -east, -sin))
+        for state, by_yaw, by_pivot in moved:
+            P[state, :] += by_yaw * P[Ix.YAW, :] + by_pivot * P[Ix.PIVOT, :]
+        for state, by_yaw, by_pivot in moved:
+            P[:, state] += by_yaw * P[:, Ix.YAW] + by_pivot * P[:, Ix.PIVOT]
 
     def forget_heading(self) -> None:
         """Go on without a heading: the position is the antenna's from here on."""

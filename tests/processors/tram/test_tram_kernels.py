@@ -11,7 +11,7 @@ from numpy.random import Generator
 
 from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
-from tramstream.estimation.localiser import VALUES
+from tramstream.estimation.localiser import HEADING_UNKNOWN, VALUES
 from tramstream.estimation.records import Records, numbers, one
 from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram_model import axes, level_force, motion, update
@@ -278,6 +278,28 @@ def test_heading_that_is_set_moves_the_position_from_the_antenna_to_the_pivot() 
     np.testing.assert_allclose(ekf.x[[Ix.EAST, Ix.NORTH, Ix.UP], 0], (0.3, -2.0, -3.0), atol=1e-12)
     ekf.apply(fix)
     np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))  # the antenna is where it was
+
+
+def test_pivot_behind_the_origin_moves_nothing_while_the_heading_is_unknown() -> None:
+    """Truth: the antenna's place does not depend on where the vehicle pivots."""
+    x, P = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[Ix.PIVOT], P[Ix.PIVOT, Ix.PIVOT] = 3.2, 0.25
+    P[Ix.EAST, Ix.EAST] = P[Ix.NORTH, Ix.NORTH] = 4.0
+    ekf = tram_filter(x, P)
+    ekf.lose_heading()
+    fix = GnssPosition(10.0, 20.0, 1.0, gate=INFINITE, knee=INFINITE)
+    ekf.apply(fix)
+    np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))
+    assert ekf.P[Ix.PIVOT, Ix.PIVOT] == 0.25
+    estimate = ekf.estimate(0, HEADING_UNKNOWN, False, [])
+    np.testing.assert_allclose(estimate.p_l[:2], ekf.x[:2, 0])
+    antenna = ekf.x[:2, 0].copy()
+    ekf.know_heading(math.pi / 2, 0.1)
+    np.testing.assert_allclose(antenna - ekf.x[:2, 0], (-0.3, 2.0 + 3.2))
+    # The pivot's place is as uncertain as how far it lies behind the antenna.
+    assert ekf.P[Ix.NORTH, Ix.PIVOT] == pytest.approx(-0.25)
+    ekf.apply(fix)
+    np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0) - antenna)
 
 
 def test_scalar_update_is_the_dense_one() -> None:
