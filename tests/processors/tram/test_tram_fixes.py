@@ -90,6 +90,20 @@ def test_velocity_is_turned_into_the_level_frame() -> None:
     assert abs(east - in_l[0]) > 0.01  # what is at stake
 
 
+def test_speed_and_course_are_a_velocity_where_both_are_told() -> None:
+    """A receiver that speaks NMEA gives no components."""
+    level = LocalLevel.at_deg(50.08, 14.42, 250.0)
+    place = {"latitude_deg": 50.08, "longitude_deg": 14.42}
+    told = GnssFix(**place, speed_mps=10.0, course_deg=120.0)
+    east, north = 10.0 * math.sin(math.radians(120.0)), 10.0 * math.cos(math.radians(120.0))
+    assert velocity_l(told, level) == pytest.approx((east, north))
+    assert velocity_l(GnssFix(**place, speed_mps=0.0, course_deg=0.0), level) is None
+    nowhere = GnssFix(**place, speed_mps=0.3, course_deg=0.0, course_std_deg=180.0)
+    assert velocity_l(nowhere, level) is None
+    half = GnssFix(**place, vel_e_mps=3.0, speed_mps=10.0, course_deg=120.0)
+    assert velocity_l(half, level) is None
+
+
 def test_heading_does_not_depend_on_where_the_frame_was_laid() -> None:
     """Truth: the same ride in a frame laid in its middle; the other frame lies far to the west."""
     ride = ridden(laid(PLAN), city(gnss={"velocity": True}), 3, 150.0)
