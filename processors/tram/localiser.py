@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import antenna_l, unusable, velocity_l
+from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
