@@ -286,7 +286,7 @@ def test_pivot_behind_the_origin_moves_nothing_while_the_heading_is_unknown() ->
     x[Ix.PIVOT], P[Ix.PIVOT, Ix.PIVOT] = 3.2, 0.25
     P[Ix.EAST, Ix.EAST] = P[Ix.NORTH, Ix.NORTH] = 4.0
     ekf = tram_filter(x, P)
-    ekf.lose_heading()
+    ekf.forget_heading()
     fix = GnssPosition(10.0, 20.0, 1.0, gate=INFINITE, knee=INFINITE)
     ekf.apply(fix)
     np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))
@@ -294,7 +294,7 @@ def test_pivot_behind_the_origin_moves_nothing_while_the_heading_is_unknown() ->
     estimate = ekf.estimate(0, HEADING_UNKNOWN, False, [])
     np.testing.assert_allclose(estimate.p_l[:2], ekf.x[:2, 0])
     antenna = ekf.x[:2, 0].copy()
-    ekf.know_heading(math.pi / 2, 0.1)
+    ekf.set_heading(math.pi / 2, 0.1)
     np.testing.assert_allclose(antenna - ekf.x[:2, 0], (-0.3, 2.0 + 3.2))
     # The pivot's place is as uncertain as how far it lies behind the antenna.
     assert ekf.P[Ix.NORTH, Ix.PIVOT] == pytest.approx(-0.25)
