@@ -1,13 +1,11 @@
-"""Keys of a record as columns: states, truth and fixes as arrays.
+"""A ride of a record as series: states, truth and fixes as arrays, in one frame and in order.
 
-One pass over the record, only the keys asked for; a message leaves its numbers in flat typed arrays
-and is gone.
+One pass over the record, only the keys and columns asked for (`message_columns`).
 """
 
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -30,12 +28,10 @@ from tramstream.geodesy import LocalLevel
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
+from tramstream.recorder.message_columns import Columns, read_columns
 from tramstream.recorder.reader import Record
 
 _UPPER = np.triu_indices(len(Slot))
-_TRIANGLE = len(_UPPER[0])
-_NO_COVARIANCE = [math.nan] * _TRIANGLE
-_NAN = math.nan
 
 
 class RideSeries(NamedTuple):
@@ -69,206 +65,152 @@ def read_ride(
     level : LocalLevel, optional
         Of the positions; without one it lies at the first truth, else state, else fix.
     """
-    of_states = {path: _States() for path in states}
-    of_truth, of_fixes = _Truth(), _Fixes()
-    wanted: dict[str, _Columns] = dict(of_states)
+    types: dict[str, type[Message]] = dict.fromkeys(states, MotionState)
     if truth:
-        wanted[truth] = of_truth
+        types[truth] = TruthState
     if fixes:
-        wanted[keys.GNSS_FIX.path] = of_fixes
-    by_topic = {
-        topic: columns
-        for topic in record.channels
-        if (columns := wanted.get(keys.split(topic)[1])) is not None
-        and record.type_of(topic) == columns.type.DESCRIPTOR.full_name
-    }
-    for entry, message in record.decoded(by_topic.__contains__):
-        by_topic[entry.topic].add(message)
-    for columns in (of_truth, *of_states.values(), of_fixes):
-        level = level or columns.level()
+        types[keys.GNSS_FIX.path] = GnssFix
+    by_path: dict[str, list[str]] = {}
+    for topic in record.channels:
+        path = keys.split(topic)[1]
+        if path in types and record.type_of(topic) == types[path].DESCRIPTOR.full_name:
+            by_path.setdefault(path, []).append(topic)
+    topics = {each: _NAMES[types[path]] for path, found in by_path.items() for each in found}
+    columns = read_columns(record, topics)
+    of = {path: _Messages([columns[each] for each in found]) for path, found in by_path.items()}
+    of = {path: messages for path, messages in of.items() if len(messages.order)}
+    for path in (truth, *states, keys.GNSS_FIX.path):
+        if level is None and path in of:
+            level = of[path].level()
     if level is None:
         return RideSeries(None, {}, None, None)
     return RideSeries(
         level,
-        {path: columns.series(level) for path, columns in of_states.items() if columns.stamp_ns},
-        of_truth.series(level) if of_truth.stamp_ns else None,
-        of_fixes.series(level) if of_fixes.stamp_ns else None,
+        {path: _states(of[path], level) for path in states if path in of},
+        _truth(of[truth], level) if truth in of else None,
+        _fixes(of[keys.GNSS_FIX.path], level) if keys.GNSS_FIX.path in of else None,
     )
 
 
-class _Columns:
-    """Where the messages of a key leave their stamps and `width` numbers each.
+_PLACE = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
+_ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
+_PROTECTION = ("protection_along_m", "protection_across_m")
+_SPEEDS = ("speed_mps", "acceleration_mps2", "yaw_rate_radps")
+_NAMES: dict[type[Message], tuple[str, ...]] = {
+    MotionState: (
+        *(*_PLACE, *_ATTITUDE, *_PROTECTION, *_SPEEDS),
+        *("mode", "standing", "covariance", "innovations"),
+    ),
+    TruthState: (*_PLACE, *_ATTITUDE, "speed_mps", "position_std_m"),
+    GnssFix: (*_PLACE, "speed_mps", "course_deg", "vel_n_mps", "valid", "invalid_llh"),
+}
+"""The columns that make a series."""
 
-    The first three numbers are latitude and longitude in degrees and height.
-    """
 
-    width = 0
-    type: type[Message]
+class _Messages:
+    """Messages of one key, on whatever topics, in order of stamps; of equal stamps the last."""
 
-    def __init__(self) -> None:
-        self.stamp_ns = array("q")
-        self.numbers = array("d")
-
-    def add(self, message: Any) -> None:
-        """Take what the series needs of a message."""
-        raise NotImplementedError
-
-    def level(self) -> LocalLevel | None:
-        """The local level at the first message."""
-        return LocalLevel.at_deg(*self.numbers[:3]) if self.stamp_ns else None
-
-    def columns(self) -> tuple[NDArray[np.intp], Instants, Array]:
-        """Which messages to keep, in order of stamps; of equal stamps the last. Their numbers."""
-        stamp_ns = np.frombuffer(self.stamp_ns, dtype=np.int64)
+    def __init__(self, found: list[Columns]) -> None:
+        self.found = found
+        stamp_ns = self.all("stamp_ns")
         order = np.argsort(stamp_ns, kind="stable")
-        after = stamp_ns[order][1:]
-        order = order[np.append(after != stamp_ns[order][:-1], True)]
-        numbers = np.frombuffer(self.numbers).reshape(-1, self.width)
-        return order, stamp_ns[order], numbers[order]
+        last = np.append(stamp_ns[order][1:] != stamp_ns[order][:-1], True)[: len(order)]
+        self.order: NDArray[np.intp] = order[last]
+        self.stamp_ns: Instants = stamp_ns[self.order]
+
+    def all(self, name: str) -> NDArray[Any]:
+        """A column as it was recorded."""
+        return np.concatenate([each[name] for each in self.found])
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.all(name)[self.order]
+
+    def rows(self, names: Sequence[str]) -> Array:
+        """Columns side by side."""
+        return np.column_stack([self[name] for name in names])
+
+    def level(self) -> LocalLevel:
+        """The local level at the message that was recorded first."""
+        latitude_deg, longitude_deg, height_m = (float(self.all(name)[0]) for name in _PLACE)
+        return LocalLevel.at_deg(latitude_deg, longitude_deg, height_m)
+
+    def geodetic(self) -> Array:
+        """Rows of latitude, longitude, height; rad, rad, m."""
+        geodetic = self.rows(_PLACE)
+        geodetic[:, :2] = np.radians(geodetic[:, :2])
+        return geodetic
 
 
-def _geodetic(numbers: Array) -> Array:
-    """Rows of latitude, longitude, height out of the first three columns."""
-    geodetic = numbers[:, :3].copy()
-    geodetic[:, :2] = np.radians(geodetic[:, :2])
-    return geodetic
+def _states(messages: _Messages, level: LocalLevel) -> StateSeries:
+    geodetic, protection = messages.geodetic(), messages.rows(_PROTECTION)
+    triangle = np.concatenate([_triangles(each["covariance"]) for each in messages.found])
+    covariance = np.empty((len(geodetic), len(Slot), len(Slot)))
+    covariance[:, _UPPER[0], _UPPER[1]] = triangle[messages.order]
+    covariance[:, _UPPER[1], _UPPER[0]] = triangle[messages.order]
+    return StateSeries(
+        stamp_ns=messages.stamp_ns,
+        geodetic=geodetic,
+        p_l=level.from_geodetic(geodetic),
+        speed_mps=messages["speed_mps"],
+        acceleration_mps2=messages["acceleration_mps2"],
+        attitude_rad=wrapped_rad(messages.rows(_ATTITUDE)),
+        yaw_rate_radps=messages["yaw_rate_radps"],
+        covariance=covariance,
+        mode=messages["mode"],
+        standing=messages["standing"],
+        # A level of exactly nothing is a field that was not set.
+        protection_m=np.where(protection > 0, protection, np.nan),
+        innovations=_innovations([each.elements("innovations") for each in messages.found]),
+    )
 
 
-class _States(_Columns):
-    """MotionState."""
-
-    type = MotionState
-    width = 13
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.covariance = array("d")
-        self.names: dict[str, int] = {}
-        self.innovation_stamp_ns = array("q")
-        self.innovation_which = array("q")
-        self.innovation_numbers = array("d")
-
-    def add(self, message: Any) -> None:
-        stamp_ns = message.stamp_ns
-        self.stamp_ns.append(stamp_ns)
-        self.numbers.extend(
-            (
-                message.latitude_deg,
-                message.longitude_deg,
-                message.height_ellipsoid_m,
-                message.speed_mps,
-                message.acceleration_mps2,
-                message.roll_rad,
-                message.pitch_rad,
-                message.yaw_rad,
-                message.yaw_rate_radps,
-                message.mode,
-                message.standing,
-                message.protection_along_m,
-                message.protection_across_m,
-            )
-        )
-        covariance = message.covariance
-        self.covariance.extend(covariance if len(covariance) == _TRIANGLE else _NO_COVARIANCE)
-        names = self.names
-        for innovation in message.innovations:
-            self.innovation_stamp_ns.append(stamp_ns)
-            self.innovation_which.append(names.setdefault(innovation.measurement, len(names)))
-            self.innovation_numbers.extend(
-                (innovation.value, innovation.variance, innovation.accepted)
-            )
-
-    def series(self, level: LocalLevel) -> StateSeries:
-        order, stamp_ns, numbers = self.columns()
-        geodetic = _geodetic(numbers)
-        triangle = np.frombuffer(self.covariance).reshape(-1, _TRIANGLE)[order]
-        covariance = np.empty((len(order), len(Slot), len(Slot)))
-        covariance[:, _UPPER[0], _UPPER[1]] = triangle
-        covariance[:, _UPPER[1], _UPPER[0]] = triangle
-        protection = numbers[:, 11:13]
-        return StateSeries(
-            stamp_ns=stamp_ns,
-            geodetic=geodetic,
-            p_l=level.from_geodetic(geodetic),
-            speed_mps=numbers[:, 3],
-            acceleration_mps2=numbers[:, 4],
-            attitude_rad=wrapped_rad(numbers[:, 5:8]),
-            yaw_rate_radps=numbers[:, 8],
-            covariance=covariance,
-            mode=numbers[:, 9].astype(np.int64),
-            standing=numbers[:, 10] != 0,
-            # A level of exactly nothing is a field that was not set.
-            protection_m=np.where(protection > 0, protection, np.nan),
-            innovations=self._innovations(),
-        )
-
-    def _innovations(self) -> Innovations:
-        stamp_ns = np.frombuffer(self.innovation_stamp_ns, dtype=np.int64)
-        order = np.argsort(stamp_ns, kind="stable")
-        numbers = np.frombuffer(self.innovation_numbers).reshape(-1, 3)[order]
-        return Innovations(
-            stamp_ns=stamp_ns[order],
-            names=tuple(self.names),
-            which=np.frombuffer(self.innovation_which, dtype=np.int64)[order],
-            value=numbers[:, 0],
-            variance=numbers[:, 1],
-            accepted=numbers[:, 2] != 0,
-        )
+def _triangles(rows: NDArray[Any]) -> Array:
+    """Upper triangles of covariances; NaN where there is none of this size."""
+    triangles = np.full((len(rows), len(_UPPER[0])), math.nan)
+    if rows.ndim == 2 and rows.shape[1] == triangles.shape[1]:
+        return rows
+    for triangle, row in zip(triangles, rows, strict=True):
+        if len(row) == len(triangle):
+            triangle[:] = row
+    return triangles
 
 
-class _Truth(_Columns):
-    """TruthState; what is absent is NaN."""
+def _innovations(found: list[Columns]) -> Innovations:
+    def all_(name: str) -> NDArray[Any]:
+        return np.concatenate([each[name] for each in found])
 
-    type = TruthState
-    width = 8
-    optional = ("speed_mps", "roll_rad", "pitch_rad", "yaw_rad", "position_std_m")
-
-    def add(self, message: Any) -> None:
-        self.stamp_ns.append(message.stamp_ns)
-        self.numbers.extend(
-            (message.latitude_deg, message.longitude_deg, message.height_ellipsoid_m)
-        )
-        has = message.HasField
-        self.numbers.extend(getattr(message, name) if has(name) else _NAN for name in self.optional)
-
-    def series(self, level: LocalLevel) -> TruthSeries:
-        _, stamp_ns, numbers = self.columns()
-        return TruthSeries(
-            stamp_ns=stamp_ns,
-            p_l=level.from_geodetic(_geodetic(numbers)),
-            speed_mps=numbers[:, 3],
-            attitude_rad=wrapped_rad(numbers[:, 4:7]),
-            position_std_m=numbers[:, 7],
-        )
+    stamp_ns, texts = all_("stamp_ns"), all_("measurement").tolist()
+    which = {name: number for number, name in enumerate(dict.fromkeys(texts))}
+    order = np.argsort(stamp_ns, kind="stable")
+    return Innovations(
+        stamp_ns=stamp_ns[order],
+        names=tuple(which),
+        which=np.array([which[text] for text in texts], dtype=np.int64)[order],
+        value=all_("value")[order],
+        variance=all_("variance")[order],
+        accepted=all_("accepted")[order],
+    )
 
 
-class _Fixes(_Columns):
-    """GnssFix."""
+def _truth(messages: _Messages, level: LocalLevel) -> TruthSeries:
+    """What is absent is NaN."""
+    return TruthSeries(
+        stamp_ns=messages.stamp_ns,
+        p_l=level.from_geodetic(messages.geodetic()),
+        speed_mps=messages["speed_mps"],
+        attitude_rad=wrapped_rad(messages.rows(_ATTITUDE)),
+        position_std_m=messages["position_std_m"],
+    )
 
-    type = GnssFix
-    width = 6
 
-    def add(self, message: Any) -> None:
-        # A receiver that gives no velocity leaves speed and course 0.
-        moves = message.HasField("vel_n_mps") or message.speed_mps != 0.0
-        self.stamp_ns.append(message.stamp_ns)
-        self.numbers.extend(
-            (
-                message.latitude_deg,
-                message.longitude_deg,
-                message.height_ellipsoid_m,
-                message.speed_mps if moves else _NAN,
-                message.course_deg if moves else _NAN,
-                message.valid and not message.invalid_llh,
-            )
-        )
-
-    def series(self, level: LocalLevel) -> FixSeries:
-        _, stamp_ns, numbers = self.columns()
-        return FixSeries(
-            stamp_ns=stamp_ns,
-            valid=numbers[:, 5] != 0,
-            p_l=level.from_geodetic(_geodetic(numbers)),
-            speed_mps=numbers[:, 3],
-            course_yaw_rad=wrapped_rad(np.radians(90.0 - numbers[:, 4])),
-        )
+def _fixes(messages: _Messages, level: LocalLevel) -> FixSeries:
+    # A receiver that gives no velocity leaves speed and course 0.
+    moves = ~np.isnan(messages["vel_n_mps"]) | (messages["speed_mps"] != 0.0)
+    course_deg = np.where(moves, messages["course_deg"], math.nan)
+    return FixSeries(
+        stamp_ns=messages.stamp_ns,
+        valid=messages["valid"] & ~messages["invalid_llh"],
+        p_l=level.from_geodetic(messages.geodetic()),
+        speed_mps=np.where(moves, messages["speed_mps"], math.nan),
+        course_yaw_rad=wrapped_rad(np.radians(90.0 - course_deg)),
+    )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tramstream import geodesy
-from tramstream.geodesy import LocalLevel
+from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
 
 MM = 1e-3  # m
 MICROMETRE = 1e-6  # m
@@ -103,3 +103,21 @@ def test_frame_of_a_local_level_cannot_be_edited() -> None:
     level = LocalLevel.at_deg(50.0, 14.0, 0.0)
     with pytest.raises(ValueError, match="read-only"):
         level.C_le[0, 0] = 1.0
+
+
+# Axes of places in a level frame ------------------------------------------------------------------
+@given(latitudes, longitudes, st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))
+def test_axes_of_a_place_are_those_of_a_level_laid_there(
+    lat: float, lon: float, east: float, north: float
+) -> None:
+    level = LocalLevel(lat, lon, 100.0)
+    p_l = np.array([east, north, 50.0])
+    place = LocalLevel(*level.to_geodetic(p_l).tolist())
+    axes = C_nl(level, level.to_geodetic(p_l))
+    np.testing.assert_allclose(axes, place.C_le @ level.C_le.T, atol=1e-12)
+    # 10 km up, where the tangent plane of 140 km leaves the ground, the shape tells less.
+    np.testing.assert_allclose(level.up_l(p_l), axes[2], atol=2e-6)
+    if abs(lat) < 1.5:
+        along = axes[0] / np.hypot(axes[0, 0], axes[0, 1])
+        angle = float(convergence_rad(level, place.longitude_rad))
+        np.testing.assert_allclose(along[:2], [np.cos(angle), np.sin(angle)], atol=1e-9)

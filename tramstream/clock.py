@@ -65,11 +65,6 @@ class VehicleClock:
         """What the host takes for UTC; None for a clock that does not live in the host's time."""
         return self._utc_ns() if self._utc_ns is not None else None
 
-    def sleep_s(self, dt_s: float) -> None:
-        """Sleep for `dt_s` seconds of this clock."""
-        if dt_s > 0:
-            time.sleep(dt_s / self.rate)
-
     @classmethod
     def shared(cls, runtime_dir: Path, rate: float = 1.0) -> VehicleClock:
         """The clock of all processes that use `runtime_dir`, made by whoever comes first.

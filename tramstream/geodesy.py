@@ -170,14 +170,45 @@ class LocalLevel:
         """Geodetic rows of local level positions; rad, rad, m."""
         return geodetic_from_ecef(np.asarray(p_l, dtype=float) @ self.C_le + self.origin_e)
 
+    def up_l(self, p_l: ArrayLike) -> Array:
+        """Direction of the place's up at local level positions, in `l`.
+
+        It is that of the ellipsoid with the shape of WGS84 through the place, 1e-7 rad off for each
+        200 m of height.
+        """
+        p_e = np.asarray(p_l, dtype=float) @ self.C_le + self.origin_e
+        up_e = p_e / (SEMI_MAJOR_M**2, SEMI_MAJOR_M**2, SEMI_MINOR_M**2)
+        up: Array = up_e / np.linalg.norm(up_e, axis=-1, keepdims=True) @ self.C_le.T
+        return up
+
 
 def convergence_rad(level: LocalLevel, longitude_rad: ArrayLike) -> Array:
     """Angle by which yaw in `level` is more than yaw against east of a place at a longitude.
 
     The direction of the place's east in `level`; it depends on the longitude alone.
     """
-    longitude = np.asarray(longitude_rad, dtype=float)
-    east_e = np.stack([-np.sin(longitude), np.cos(longitude), np.zeros_like(longitude)], axis=-1)
-    east, north, _ = np.moveaxis(east_e @ level.C_le.T, -1, 0)
-    angle: Array = np.arctan2(north, east)
+    off = np.asarray(longitude_rad, dtype=float) - level.longitude_rad
+    angle: Array = np.arctan2(np.sin(level.latitude_rad) * np.sin(off), np.cos(off))
     return angle
+
+
+def C_nl(level: LocalLevel, geodetic: ArrayLike) -> Array:
+    """Turn of components in `level` into east, north and up of places; shape (3, 3) or (n, 3, 3).
+
+    Its last row is the direction of each place's up in `level`.
+    """
+    latitude, longitude, _ = np.moveaxis(np.asarray(geodetic, dtype=float), -1, 0)
+    turn: Array = _C_ne(latitude, longitude) @ level.C_le.T
+    return turn
+
+
+def _C_ne(latitude_rad: Array, longitude_rad: Array) -> Array:
+    """Turn of Earth-fixed components into east, north and up of places."""
+    sin_lat, cos_lat = np.sin(latitude_rad), np.cos(latitude_rad)
+    sin_lon, cos_lon = np.sin(longitude_rad), np.cos(longitude_rad)
+    rows = [
+        [-sin_lon, cos_lon, np.zeros_like(sin_lon)],
+        [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+        [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

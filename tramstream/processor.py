@@ -8,7 +8,7 @@ The live loop, reprocessing and the tests call the same `step`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -197,7 +197,3 @@ def stamp(message: Any, stamp_ns: int, sequence: int) -> None:
         message.sequence = sequence
     except AttributeError:  # cheaper than to look first, for what is nearly always there
         message.timestamp.FromNanoseconds(stamp_ns)
-
-
-Factory = Callable[[Any], Processor]
-"""Builds a processor from the vehicle's configuration (`tramstream.config.Vehicle`)."""

@@ -232,7 +232,7 @@ def _lateral(f: Memory, c: Parameters, s: Situation, u: Reading, standing: bool)
 @compiled
 def _publish(f: Memory, c: Parameters, work: Array, row: Array) -> None:
     """Give what the filter would say of its place, and the variances of its states."""
-    axes.origin(f, c.clock_share, work[0], work[1:])
+    axes.origin(f, c.clock_share, True, work[0], work[1:])
     row[0], row[1], row[2] = work[1, 0], work[1, 1], work[2, 1]
     for i in range(SIZE):
         row[3 + i] = f.P[i, i]

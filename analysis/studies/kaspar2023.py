@@ -36,9 +36,8 @@ from tramstream.estimation.series import (
     Slot,
     StateSeries,
     TruthSeries,
-    wrapped_rad,
 )
-from tramstream.geodesy import LocalLevel, convergence_rad
+from tramstream.geodesy import LocalLevel
 from tramstream.lines import geojson
 from tramstream.lines.line import Line, built_in_line
 from tramstream.processor import Sample
@@ -260,15 +259,12 @@ def _geodetic(rows: Array) -> Array:
 
 
 def _truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
-    """The truth, its yaw against east of the place, as that of the states."""
-    level = simulation.line.level
+    """The truth, its attitude against level and east of the place, as that of the states."""
     truth = simulation.truth(stamp_ns)
     motion = truth.motion
-    _, longitude, _ = level.to_geodetic(truth.p_l).T
-    convergence = convergence_rad(level, longitude)
-    attitude = np.stack([motion.roll_rad, motion.pitch_rad, motion.yaw_rad - convergence], axis=1)
+    attitude = np.stack(simulation.ride.attitude(motion), axis=1)
     unknown = np.full(len(stamp_ns), np.nan)
-    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, wrapped_rad(attitude), unknown)
+    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, attitude, unknown)
 
 
 def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:

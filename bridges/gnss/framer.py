@@ -35,8 +35,6 @@ UBX, NMEA, RTCM3 = "UBX", "NMEA", "RTCM3"
 NOISE = "noise"
 """Reason of bytes in which no frame starts: text headers, another device's words, line noise."""
 
-UBX_OVERHEAD = 8
-"""Two sync bytes, class, identifier, two of length, two of checksum."""
 RTCM3_OVERHEAD = 6
 """Preamble, two of length, three of CRC."""
 _SYNC = re.compile(rb"\xb5\x62|\$[A-Z]|![A-Z]|\xd3[\x00-\x03]")

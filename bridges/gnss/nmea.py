@@ -40,6 +40,9 @@ frequency civil user's, 1 σ (GPS SPS Performance Standard, 5th edition, appendi
 VERTICAL_PER_HORIZONTAL = 1.5
 """Vertical over horizontal dilution where no GSA tells it, open sky."""
 
+NO_COURSE_STD_DEG = 180.0
+"""Of a course that a receiver leaves empty, as u-blox does below a speed: any is as likely."""
+
 _DAY_NS = 86_400 * S
 _UNIX_DAY = 719_163
 """Ordinal of 1970-01-01."""
@@ -170,6 +173,8 @@ def fix_of(epoch: Epoch, max_accuracy_m: float) -> GnssFix:
         fix.height_ellipsoid_m = _known(epoch.altitude_m) + _known(epoch.separation_m)
     fix.horizontal_std_m, fix.vertical_std_m = _deviations(epoch)
     fix.speed_mps, fix.course_deg = _known(epoch.speed_mps), _known(epoch.course_deg)
+    if not math.isfinite(epoch.course_deg):
+        fix.course_std_deg = NO_COURSE_STD_DEG
     fix.pdop = _known(epoch.pdop)
     fix.valid = (
         known

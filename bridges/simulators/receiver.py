@@ -27,7 +27,7 @@ from tramstream.bridges.simulators.streams import (
     Faults,
 )
 from tramstream.clock import S
-from tramstream.geodesy import PRAGUE_GEOID_M
+from tramstream.geodesy import PRAGUE_GEOID_M, C_nl
 from tramstream.simulation.receiver import GPS_MINUS_UNIX_S, LEAP_SECONDS, Fixes, Gnss, GnssErrors
 from tramstream.simulation.ride import Ride
 
@@ -62,7 +62,8 @@ class Epoch(NamedTuple):
 
     gps_ns: int
     geodetic_deg: NDArray[np.float64]
-    vel_l: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    """East, north, up of the place, m/s."""
 
     @property
     def itow_ms(self) -> int:
@@ -114,9 +115,11 @@ def _cable(faults: Faults, start_ns: int) -> list[Chunk]:
 
 
 def _epoch(ride: Ride, gps_ns: int, fixes: Fixes) -> Epoch:
-    latitude, longitude, height = ride.line.level.to_geodetic(fixes.p_l[0])
+    level = ride.line.level
+    geodetic = level.to_geodetic(fixes.p_l[0])
+    latitude, longitude, height = geodetic
     geodetic_deg = np.array([math.degrees(latitude), math.degrees(longitude), height])
-    return Epoch(gps_ns, geodetic_deg, fixes.vel_l[0])
+    return Epoch(gps_ns, geodetic_deg, C_nl(level, geodetic) @ fixes.vel_l[0])
 
 
 def _messages(epoch: Epoch, device: GnssDevice, count: int) -> list[bytes]:
@@ -149,7 +152,7 @@ def _pvt(epoch: Epoch, errors: GnssErrors) -> dict[str, Any]:
     seconds, nano = divmod(unix_ns, S)
     utc = UNIX_EPOCH + timedelta(seconds=seconds)
     latitude_deg, longitude_deg, height_m = epoch.geodetic_deg
-    east, north, up = epoch.vel_l
+    east, north, up = epoch.velocity
     speed = math.hypot(east, north)
     course_std_deg = math.degrees(math.atan2(errors.velocity_std_mps, speed))
     return {

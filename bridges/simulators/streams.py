@@ -103,7 +103,8 @@ def riding(ride: Ride, p_vb_v: Vector = ORIGIN, mounting_deg: Vector = ORIGIN) -
     C_bv = C_vl(*np.radians(mounting_deg))
 
     def feel(time_s: Array) -> tuple[Array, Array]:
-        f_v, omega_v = inertial(ride.motion(time_s), gravity, p_vb_v)
+        motion = ride.motion(time_s)
+        f_v, omega_v = inertial(motion, gravity, p_vb_v, ride.up_l(motion))
         return f_v @ C_bv.T, omega_v @ C_bv.T
 
     return feel

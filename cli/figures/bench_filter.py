@@ -6,13 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tramstream import keys
+from tramstream.analysis.studies.frames import frames
 from tramstream.cli.figures.bench_stages import Figure
 from tramstream.estimation.localiser import TRACKING
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.resampling.resampler import Resampler
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
@@ -22,20 +21,6 @@ CHUNK = 250
 """Steps that are timed at a time; the median of the chunks counts."""
 
 
-def frames() -> tuple[Simulation, list[Sample]]:
-    """Frames of the reference scenario: IMU at 100 Hz, two wheels at 50 Hz, GNSS at 1 Hz."""
-    simulation = Simulation(built_in_line(), scenario.load("kaspar2023"), 1, RIDE_S)
-    resampler = Resampler(simulation.vehicle)
-    made = [
-        sample
-        for sent in simulation.samples()
-        if sent.key is not keys.TRUTH_STATE
-        for sample in resampler.step(sent)
-        if sample.key is keys.SYNC_FRAME
-    ]
-    return simulation, made
-
-
 def ekf() -> list[Figure]:
     """Measure the filter alone, and with all that is published.
 
@@ -43,7 +28,9 @@ def ekf() -> list[Figure]:
     `localisation_step_us`: the whole processor, standstill detection, prediction to now and two
     messages included.
     """
-    simulation, made = frames()
+    # IMU at 100 Hz, two wheels at 50 Hz, GNSS at 1 Hz.
+    simulation = Simulation(built_in_line(), scenario.load("kaspar2023"), 1, RIDE_S)
+    made = list(frames(simulation, []))
     whole = LocalisationFilter(simulation.vehicle)
     navigation: Navigation | None = None
     rest: list[Sample] = []

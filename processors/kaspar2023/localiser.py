@@ -33,13 +33,20 @@ from tramstream.estimation.fixes import antenna_l, deviations, unusable
 from tramstream.estimation.localiser import Array, Estimate, Learned, OnTrack, Verdict, values_of
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
+from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
 from tramstream.processors.kaspar2023.events import HEADING_LOST
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter, warm_up
 from tramstream.processors.kaspar2023.model import SIZE, STEP_S, Ix
-from tramstream.processors.kaspar2023.predictor import Ahead
-from tramstream.processors.kaspar2023.wheels import MESSAGE_S, Reading, Refused, WheelPair
+from tramstream.processors.kaspar2023.predictor import Ahead, AheadMemory
+from tramstream.processors.kaspar2023.wheels import (
+    MESSAGE_S,
+    PairMemory,
+    Reading,
+    Refused,
+    WheelPair,
+)
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -344,8 +351,8 @@ class Kaspar2023Localiser:
             "fix": self._fix.copy(),
             "start_fix": self._start_fix.copy(),
             "fix_ns": self._fix_ns,
-            "wheels": self._wheels.snapshot(),
-            "ahead": self._ahead.snapshot(),
+            "wheels": to_plain(self._wheels.memory),
+            "ahead": to_plain(self._ahead.memory),
         }
 
     def restore(self, state: State) -> None:
@@ -357,8 +364,8 @@ class Kaspar2023Localiser:
         self._stamp_ns, self._fix_ns = state["stamp_ns"], state["fix_ns"]
         self._heading_known = state["heading_known"]
         self._fix, self._start_fix = state["fix"].copy(), state["start_fix"].copy()
-        self._wheels.restore(state["wheels"])
-        self._ahead.restore(state["ahead"])
+        assign(self._wheels.memory, from_plain(PairMemory, state["wheels"]))
+        assign(self._ahead.memory, from_plain(AheadMemory, state["ahead"]))
         self._complaints = []
 
 

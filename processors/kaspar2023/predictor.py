@@ -8,12 +8,12 @@ step.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tramstream.clock import S
 from tramstream.estimation.kalman import Array, compiled
-from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter
 from tramstream.processors.kaspar2023.model import STEP_S
@@ -30,14 +30,22 @@ def _follow(x: Array, z: Array, dt_s: Array, gravity_mps2: float) -> None:
         model.take_reading(x, z[k], gravity_mps2)
 
 
+@dataclass
+class AheadMemory:
+    """The readings that the filter has not seen yet."""
+
+    stamps: deque[int] = field(default_factory=lambda: deque(maxlen=CAPACITY))
+    readings: deque[list[float]] = field(default_factory=lambda: deque(maxlen=CAPACITY))
+
+
 class Ahead:
     """Keeps the readings that the filter has not seen yet, and a filter to try them on."""
 
     def __init__(self, Q: Array) -> None:
         self._Q = Q
         self._filter = Kaspar2023Filter(Q)
-        self._stamps: deque[int] = deque(maxlen=CAPACITY)
-        self._readings: deque[list[float]] = deque(maxlen=CAPACITY)
+        self.memory = AheadMemory()
+        self._stamps, self._readings = self.memory.stamps, self.memory.readings
 
     @property
     def newest_ns(self) -> int:
@@ -68,10 +76,3 @@ class Ahead:
             _follow(x, np.array(self._readings), dt_s, gravity_mps2)
             ahead.x = x
         return ahead
-
-    def snapshot(self) -> State:
-        return {"stamps": list(self._stamps), "readings": [list(each) for each in self._readings]}
-
-    def restore(self, state: State) -> None:
-        self._stamps = deque(state["stamps"], CAPACITY)
-        self._readings = deque((list(each) for each in state["readings"]), CAPACITY)

@@ -9,6 +9,7 @@ otherwise, and where there is only one, the first wheel is taken without the tur
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.events.kinds import Event
-from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
 from tramstream.processors.kaspar2023.events import WHEELS_JUMPED
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
@@ -54,6 +54,17 @@ class Refused(NamedTuple):
     why: Event
 
 
+@dataclass
+class PairMemory:
+    """The last message of a `WheelPair`."""
+
+    pulses: dict[str, int] = field(default_factory=dict)
+    """By side."""
+    stamp_ns: int = 0
+    interval_s: float = 0.0
+    """Mean; 0 while there was none."""
+
+
 class WheelPair:
     """Remembers the last message, so that the next one can be counted from it.
 
@@ -68,9 +79,7 @@ class WheelPair:
         self._m_per_pulse = vehicle.wheels.m_per_pulse
         self._half_track_m = vehicle.wheels.track_m / 2.0
         self._speed_std_mps = vehicle.wheels.speed_std_mps
-        self._pulses: dict[str, int] = {}  # last reading by side
-        self._stamp_ns = 0
-        self._interval_s = 0.0  # mean; 0 while there was none
+        self.memory = PairMemory()
 
     @property
     def pulses_per_mps(self) -> float:
@@ -79,6 +88,7 @@ class WheelPair:
 
     def read(self, odometry: Odometry) -> Reading | Refused | None:
         """Turn a message into a measurement; None for the first one and after a pause."""
+        memory = self.memory
         chosen = self._chosen(odometry)
         if not chosen:
             return None
@@ -86,12 +96,12 @@ class WheelPair:
             k = self.pulses_per_mps
             counted = [wheel.speed_mps * k for wheel in chosen.values()]
             return self._reading(counted, (self._speed_std_mps * k) ** 2)
-        before, interval_s = self._pulses, (odometry.stamp_ns - self._stamp_ns) / S
-        self._pulses = {side: wheel.pulses for side, wheel in chosen.items()}
-        self._stamp_ns = odometry.stamp_ns
-        if before.keys() != self._pulses.keys() or not 0.0 < interval_s <= MAX_PAUSE_S:
+        before, interval_s = memory.pulses, (odometry.stamp_ns - memory.stamp_ns) / S
+        memory.pulses = {side: wheel.pulses for side, wheel in chosen.items()}
+        memory.stamp_ns = odometry.stamp_ns
+        if before.keys() != memory.pulses.keys() or not 0.0 < interval_s <= MAX_PAUSE_S:
             return None
-        counts = [self._pulses[side] - before[side] for side in self._pulses]
+        counts = [memory.pulses[side] - before[side] for side in memory.pulses]
         longest_s = max(interval_s, MESSAGE_S)  # stamps that jitter together are no reset
         most = max(counts, key=abs)
         if abs(most) * self._m_per_pulse > MAX_SPEED_MPS * longest_s:
@@ -102,11 +112,12 @@ class WheelPair:
 
     def _regular_s(self, interval_s: float) -> float:
         """The interval without jitter: whole mean ones."""
-        if self._interval_s == 0.0:
-            self._interval_s = interval_s
-        messages = max(round(interval_s / self._interval_s), 1)
-        self._interval_s += INTERVAL_MEMORY * (interval_s / messages - self._interval_s)
-        return messages * self._interval_s
+        memory = self.memory
+        if memory.interval_s == 0.0:
+            memory.interval_s = interval_s
+        messages = max(round(interval_s / memory.interval_s), 1)
+        memory.interval_s += INTERVAL_MEMORY * (interval_s / messages - memory.interval_s)
+        return messages * memory.interval_s
 
     def _chosen(self, odometry: Odometry) -> dict[str, WheelReading]:
         """Left and right, in this order, or the first wheel as the only one."""
@@ -126,15 +137,4 @@ class WheelPair:
 
     def forget(self) -> None:
         """Count anew from the next message."""
-        self._pulses = {}
-
-    def snapshot(self) -> State:
-        return {
-            "pulses": dict(self._pulses),
-            "stamp_ns": self._stamp_ns,
-            "interval_s": self._interval_s,
-        }
-
-    def restore(self, state: State) -> None:
-        self._pulses, self._stamp_ns = dict(state["pulses"]), state["stamp_ns"]
-        self._interval_s = state["interval_s"]
+        self.memory.pulses = {}

@@ -10,7 +10,6 @@ Equations: docs/theory.md, section 7.7.
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,9 @@ import numpy as np
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram.modes import BRIDGED_S, Drive
 from tramstream.processors.tram_model.records import READING_S, situation
 
-HELD_S = 0.1
-"""An inertial reading is good for so long; ten of them were due."""
-RATE_HELD_S = 1.0
-"""A yaw rate of the bus, which comes less often, is good for so long."""
-BRIDGED_S = 2.0
-"""Over a shorter pause, the mean of the readings on either side is better than none."""
 SPEED_STD_MPS_RTS = 1.5
 """How the speed may change unseen: 5 m/s within ten seconds."""
 YAW_STD_RAD_RTS = 0.07
@@ -34,19 +28,10 @@ PAIR_YAW_STD_RAD_RTS = 0.2
 """How the heading may turn unseen for some seconds, where two wheels tell by how much."""
 
 
-class Drive(Enum):
-    """What tells the filter how the vehicle moves."""
-
-    INERTIAL = "inertial readings"
-    BRIDGED = "the readings on either side of a pause"
-    YAW_RATE = "the bus' own yaw rate"
-    COASTING = "nothing"
-
-
 class MotionNoise:
     """Noise of speed and attitude, by what drives them; told to the filter when that changes.
 
-    Every drive follows on every other; which one is there, tells the frame (`Navigation.read`).
+    Which drive it is, decides `modes.py`.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -70,7 +55,7 @@ class MotionNoise:
         if self._aliasing_s:
             # Shaking that the readings do not resolve is white noise to the angles, axis by axis.
             rates = shaking_variance * self._aliasing_s + self._white
-            ekf.drive_by(float(self._inertial[0]), rates)
+            ekf.set_motion_noise(float(self._inertial[0]), rates)
 
     def bridge(self, ekf: TramFilter, pause_s: float) -> None:
         """Go on with the readings on either side of a pause: they tell the less, the longer."""
@@ -90,7 +75,7 @@ class MotionNoise:
 
     def _tell(self, ekf: TramFilter, drive: Drive, densities: Array) -> None:
         self.drive = drive
-        ekf.drive_by(float(densities[0]), densities[1:])
+        ekf.set_motion_noise(float(densities[0]), densities[1:])
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:

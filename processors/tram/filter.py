@@ -287,18 +287,18 @@ class TramFilter:
         """Give neighbouring states new values; their uncertainty stays."""
         self._x[first : first + len(values)] = values
 
-    def begin_path(self, wheel: int, variance: float) -> None:
+    def restart_path(self, wheel: int, variance: float) -> None:
         """Count a wheel's path from here on; see `wheel_path.begin`."""
         wheel_path.begin(self.memory, self._s, wheel, variance)
         if self.watcher is not None:
             self.watcher.made_anew(Ix.PATH_A + wheel)
 
-    def shown_path(self, wheel: int) -> float:
+    def expected_path(self, wheel: int) -> float:
         """Give the path since its last reading that a wheel's counter should show now, m."""
         return float(wheel_path.shown(self.memory, self._s, wheel))
 
     # The situation -------------------------------------------------------------------------------
-    def know_heading(self, yaw_rad: float, std_rad: float) -> None:
+    def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; the position, until now the antenna's, becomes the pivot's."""
         self.reset(Ix.YAW, yaw_rad, std_rad)
         self.situation["heading_known"] = 1
@@ -310,18 +310,19 @@ class TramFilter:
         x[Ix.EAST] -= east
         x[Ix.NORTH] -= north
         x[Ix.UP] -= az
-        # An error of the heading moves the vehicle about the antenna.
-        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            P[state, :] += moved * P[Ix.YAW, :]
-        for state, moved in ((Ix.EAST, north), (Ix.NORTH, -east)):
-            P[:, state] += moved * P[:, Ix.YAW]
+        # An error of the heading moves the pivot about the antenna, one of its place along x.
+        moved = ((Ix.EAST, north, -cos), (Ix.NORTH, -east, -sin))
+        for state, by_yaw, by_pivot in moved:
+            P[state, :] += by_yaw * P[Ix.YAW, :] + by_pivot * P[Ix.PIVOT, :]
+        for state, by_yaw, by_pivot in moved:
+            P[:, state] += by_yaw * P[:, Ix.YAW] + by_pivot * P[:, Ix.PIVOT]
 
-    def lose_heading(self) -> None:
+    def forget_heading(self) -> None:
         """Go on without a heading: the position is the antenna's from here on."""
         self.situation["heading_known"] = 0
         self.reset(Ix.YAW, 0.0, 0.0)
 
-    def drive_by(self, accel_density: float, rate_density: Sequence[float] | Array) -> None:
+    def set_motion_noise(self, accel_density: float, rate_density: Sequence[float] | Array) -> None:
         """Set the noise of what drives speed and attitude; see `records.Situation`."""
         self.situation["accel_density"] = accel_density
         self.situation["rate_density"] = rate_density

@@ -17,7 +17,13 @@ from typing import Any
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import UNSTATED_STD_M, antenna_l, deviations
+from tramstream.estimation.fixes import (
+    FASTEST_MPS,
+    UNSTATED_STD_M,
+    antenna_l,
+    deviations,
+    velocity_l,
+)
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
@@ -59,30 +65,48 @@ HUGE_S = 20.0
 """One of this size is none of multipath; the vehicle need not move until it is the position's."""
 TURNED_STD_RAD = 0.2
 """Whoever was elsewhere than thought may face elsewhere than thought."""
-HOPELESS = 3
-HOPELESS_S = 600.0
+DIVERGED_COUNT = 3
+DIVERGED_S = 600.0
 """Taken from the fixes so often within so long, the filter does not know what it does."""
 VELOCITY_FLOOR_MPS = 0.03
 VELOCITY_STD_MPS = 0.5
 """Of one whose receiver says nothing of its accuracy."""
-FASTEST_MPS = 100.0
-"""No rail vehicle of this house is faster; a velocity beyond is none."""
+NEIGHBOURS_S = 3.0
+"""Fixes that are less apart share most of their error; chosen by hand."""
+UNSHARED = 0.2
+"""Of a fix's deviation that shows in the way between neighbours; chosen by hand."""
 
 
-def velocity(fix: GnssFix) -> tuple[float, float] | None:
-    """East and north, m/s, if the receiver has measured what can be a velocity."""
-    if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
+def speed_over_ground(
+    fix: GnssFix, last: GnssFix | None, level: LocalLevel, std_m: float
+) -> float | None:
+    """Speed that the receiver measured, or else how far apart two neighbouring fixes are, m/s.
+
+    Parameters
+    ----------
+    last : GnssFix or None
+        The usable one before.
+    std_m : float
+        Deviation of `fix` on each horizontal axis.
+    """
+    measured = velocity_l(fix, level)
+    if measured is not None:
+        return math.hypot(*measured)
+    if last is None or not 0 < fix.stamp_ns - last.stamp_ns < NEIGHBOURS_S * S:
         return None
-    east, north = fix.vel_e_mps, fix.vel_n_mps
-    return (east, north) if abs(east) + abs(north) < FASTEST_MPS else None
+    a, b = antenna_l(last, level), antenna_l(fix, level)
+    dt_s = (fix.stamp_ns - last.stamp_ns) / S
+    # Neighbours share most of their error; what they do not share is no motion.
+    noise_m = UNSHARED * std_m
+    return max(0.0, math.hypot(b[0] - a[0], b[1] - a[1]) - noise_m) / dt_s
 
 
-def doubts(fix: GnssFix) -> list[Event]:
+def doubts(fix: GnssFix, level: LocalLevel) -> list[Event]:
     """What is taken of a usable fix for less than it claims to be."""
     found = []
     if not (math.isfinite(fix.horizontal_std_m) and fix.horizontal_std_m > 0.0):
         found.append(ACCURACY_UNSTATED(key=_KEY, taken_m=UNSTATED_STD_M))
-    if fix.HasField("vel_e_mps") and velocity(fix) is None:
+    if fix.HasField("vel_e_mps") and velocity_l(fix, level) is None:
         speed_mps = math.hypot(fix.vel_e_mps, fix.vel_n_mps)
         found.append(IMPOSSIBLE_VELOCITY(key=_KEY, speed_mps=speed_mps, limit_mps=FASTEST_MPS))
     return found
@@ -112,25 +136,25 @@ class Fixes:
         self._begun_ns = 0  # first fix
         self._last_ns = 0
         self.accepted_ns = 0
-        """Stamp of the last fix that was believed."""
+        """Stamp of the last fix that was accepted."""
         self._taken_ns: list[int] = []  # when the position was taken from the fixes
 
     @property
-    def hopeless(self) -> Event | None:
+    def diverged(self) -> Event | None:
         """That the position has been taken from the fixes again and again, if it has."""
-        if len(self._taken_ns) < HOPELESS:
+        if len(self._taken_ns) < DIVERGED_COUNT:
             return None
-        return NO_HOPE(times=HOPELESS, within_s=HOPELESS_S)
+        return NO_HOPE(times=DIVERGED_COUNT, within_s=DIVERGED_S)
 
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
         self._std_m, self._refused_ns, self._absurd_ns, self._absurd_m = 0.0, 0, 0, 0.0
 
-    def take(
+    def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
     ) -> tuple[list[Verdict], list[Event]]:
-        """Take a usable fix; the filter is at its stamp. Gives the verdicts, and what happened."""
+        """Apply a usable fix; the filter is at its stamp. Gives the verdicts, and what happened."""
         std, std_up = deviations(fix, self.floor_m)
         self._begun_ns = self._begun_ns or fix.stamp_ns
         self._set_noise(ekf, std, std_up)
@@ -148,10 +172,10 @@ class Fixes:
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
-            found += self._refuse(fix.stamp_ns, verdicts, ekf, std)
+            found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
         else:
             self._refused_ns = 0
-        measured = None if standing else velocity(fix)
+        measured = None if standing else velocity_l(fix, level)
         if measured is not None:
             std_mps = _velocity_std(fix)
             taken = ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
@@ -161,7 +185,7 @@ class Fixes:
                 facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
                 found.append(VELOCITY_REFUSED(key=_KEY, **facts))
-        found += self._doubt(fix.stamp_ns, ekf, std, standing)
+        found += self._detect_divergence(fix.stamp_ns, ekf, std, standing)
         if not refused and self._absurd_ns == 0:
             self.accepted_ns = fix.stamp_ns
         self._last_ns = fix.stamp_ns
@@ -181,7 +205,7 @@ class Fixes:
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
         ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
 
-    def _refuse(
+    def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
     ) -> list[Event]:
         self._refused_ns = self._refused_ns or stamp_ns
@@ -213,7 +237,9 @@ class Fixes:
         error_m = ekf.state[Ix.GNSS_UP] + innovation
         ekf.reset(Ix.GNSS_UP, error_m, max(std_up, abs(error_m)))
 
-    def _doubt(self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool) -> list[Event]:
+    def _detect_divergence(
+        self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool
+    ) -> list[Event]:
         """Take the position where the fixes are when their error has been absurd for long."""
         east, north = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
         error = math.hypot(east, north)
@@ -231,7 +257,7 @@ class Fixes:
         if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):
             return []
         self._absurd_ns, self._absurd_m = 0, 0.0
-        recent = [each for each in self._taken_ns if stamp_ns - each < HOPELESS_S * S]
+        recent = [each for each in self._taken_ns if stamp_ns - each < DIVERGED_S * S]
         self._taken_ns = [*recent, stamp_ns]
         self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)

@@ -67,14 +67,14 @@ class Search:
         self._tried: list[dict[str, Any]] = []
         """Either direction: `sign`, `likelihood`, `navigation`; the likelier first."""
         if fix is not None and navigation.ekf.stamp_ns - fix.stamp_ns < YOUNG_S * S:
-            self._see(navigation, fix, 0.0)
+            self._add_fix(navigation, fix, 0.0)
 
     @property
     def trying(self) -> bool:
         """Whether the navigation moves with the vehicle, though its heading may be opposite."""
         return bool(self._tried)
 
-    def take(
+    def step(
         self,
         navigation: Navigation,
         frame: SyncFrame,
@@ -91,21 +91,21 @@ class Search:
         speed_mps : float
             Over ground, as GNSS last measured it.
         """
-        self._follow(navigation, frame)
+        self._integrate_turn(navigation, frame)
         if self._tried:
-            return self._go_on(navigation, frame, standing, noise)
+            return self._continue_directions(navigation, frame, standing, noise)
         self._kept.append(frame)
         for reading in frame.odometry:
             if not navigation.wheels.known:
                 navigation.wheels.assign(reading, navigation.ekf)
-            navigation.wheels.remember(reading)
+            navigation.wheels.note_counters(reading)
         if standing or frame.stamp_ns - self._departed_ns > KEEP_S * S:
             self.failed = True
         elif self._alignment.ready:
-            return self._try(navigation, noise, speed_mps)
+            return self._try_directions(navigation, noise, speed_mps)
         return []
 
-    def give_up(self, navigation: Navigation) -> None:
+    def abandon(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
         wheels, stamp_ns = navigation.wheels.snapshot(), self._last_ns
         offsets_m = navigation.ekf.wheel_offsets_m()
@@ -117,30 +117,32 @@ class Search:
         navigation.ekf.log_likelihood_sum = None
 
     # Displacements -------------------------------------------------------------------------------
-    def _follow(self, navigation: Navigation, frame: SyncFrame) -> None:
+    def _integrate_turn(self, navigation: Navigation, frame: SyncFrame) -> None:
         dt_s = (frame.stamp_ns - self._last_ns) / S
         rate = float(navigation.inertial["between"]["angular_rate"][0, Z])
         self._turned += (rate - navigation.ekf.state[Ix.GYRO_Z]) * dt_s
         self._last_ns = frame.stamp_ns
         for fix in frame.gnss:
-            self._see(navigation, fix, (fix.stamp_ns - self._departed_ns) / S)
+            self._add_fix(navigation, fix, (fix.stamp_ns - self._departed_ns) / S)
 
-    def _see(self, navigation: Navigation, fix: GnssFix, time_s: float) -> None:
+    def _add_fix(self, navigation: Navigation, fix: GnssFix, time_s: float) -> None:
         if fix.valid and not unusable(fix, navigation.level):
             east, north, _ = antenna_l(fix, navigation.level)
             std = navigation.accuracy_m(fix)
             self._alignment.take(time_s, east, north, self._turned, std)
 
     # Directions ----------------------------------------------------------------------------------
-    def _try(self, navigation: Navigation, noise: Array | None, speed_mps: float) -> list[Verdict]:
+    def _try_directions(
+        self, navigation: Navigation, noise: Array | None, speed_mps: float
+    ) -> list[Verdict]:
         counted = navigation.wheels.counted(self._kept)
         direction = navigation.wheels.direction(counted)
         verdicts: dict[float, list[Verdict]] = {}
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
             navigation.restore(self._anchor)
             ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad
-            navigation.know_heading(yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD)
-            navigation.wheels.run(sign, counted, ekf)
+            navigation.set_heading(yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD)
+            navigation.wheels.count_as_running(sign, counted, ekf)
             if not self._rested:
                 ekf.reset(Ix.SPEED, sign * speed_mps, SPEED_PRIOR_MPS)
             ekf.log_likelihood_sum = FORWARDS if sign > 0.0 else 0.0
@@ -151,7 +153,7 @@ class Search:
         self._kept = []
         return verdicts[self._decide(navigation)]
 
-    def _go_on(
+    def _continue_directions(
         self, navigation: Navigation, frame: SyncFrame, standing: bool, noise: Array | None
     ) -> list[Verdict]:
         verdicts: dict[float, list[Verdict]] = {}

@@ -1,14 +1,9 @@
 """The localiser `tram`: finds place and heading by itself, then runs the filter.
 
-    waiting ──first usable fix──▶ resting ──moves──▶ seeking ──heading known──▶ running
-                                     ▲                  │                          │
-                                     └─stands too early─┘◀──silent for too long────┘
-
-*Resting*: the filter runs without a heading, which a vehicle that stands does not need; it learns
-biases and averages nothing, for fixes at a stop share their error. *Seeking*: the vehicle moves;
-see `heading.py`. *Running*: the filter as it is. When nothing has told of the motion for long, the
-vehicle is looked for again, with all that has been learned of its sensors; one that stood before
-and has not moved is taken to stand there yet (`outage.py`).
+It goes through the phases of `modes.py`. *Resting*, it learns biases and averages nothing, for
+fixes at a stop share their error. *Seeking*, it aligns (`heading.py`). When nothing has told of the
+motion for long, the vehicle is looked for again, with all that has been learned of its sensors; one
+that stood before and has not moved is taken to stand there yet (`outage.py`).
 """
 
 from __future__ import annotations
@@ -20,14 +15,15 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import FAR_M, antenna_l, unusable
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
-from tramstream.events.kinds import Event
+from tramstream.events import kinds
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
 from tramstream.processors.tram import estimate as estimates
 from tramstream.processors.tram import events
 from tramstream.processors.tram.filter import GYRO_Z, SPEED
-from tramstream.processors.tram.gnss import doubts, velocity
+from tramstream.processors.tram.gnss import doubts, speed_over_ground
 from tramstream.processors.tram.heading import Search
+from tramstream.processors.tram.modes import TRANSITIONS, Event, Phase, phase_of
 from tramstream.processors.tram.navigation import Navigation, Watcher
 from tramstream.processors.tram.outage import Parked, Silence
 from tramstream.processors.tram.predictor import Ahead
@@ -64,7 +60,7 @@ class TramLocaliser:
         self._navigation: Navigation | None = None
         self._lever_arm_m = vehicle.gnss.lever_arm_m if vehicle.gnss else (0.0, 0.0, 0.0)
         self._standstill = Standstill()
-        self._aligned = False
+        self.phase = Phase.WAITING
         self._search: Search | None = None
         self._silence = Silence(vehicle)
         self._parked: Parked | None = None
@@ -77,7 +73,7 @@ class TramLocaliser:
         self._back_ns = (0, 0)  # first and last stamp of frames that went on from an earlier time
         self._far_ns = (0, 0)  # first and last of those fixes in a row that are far away
         self._inertial = False
-        self._complaints: list[Event] = []
+        self._complaints: list[kinds.Event] = []
         self._ahead = Ahead(vehicle)
         self._last: Estimate | None = None
 
@@ -88,40 +84,43 @@ class TramLocaliser:
     # One frame -----------------------------------------------------------------------------------
     def take(self, frame: SyncFrame) -> Estimate | None:
         stamp_ns = frame.stamp_ns
-        if stamp_ns <= self._stamp_ns and not self._set_back(stamp_ns):
+        if stamp_ns <= self._stamp_ns and not self._clock_was_set_back(stamp_ns):
             return None
         gap_s = (stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
         self._stamp_ns = stamp_ns
         navigation = self._navigation
-        if self._silence.see(frame):
+        if self._silence.note(frame):
             slipping_s = navigation.wheels.slipping_s(self._stamp_ns) if navigation else 0.0
             self._complaints += self._silence.missing(self._stamp_ns, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
                 return None
-        self._listen(navigation, frame)
+        self._detect_silence(navigation, frame)
         standing = self._observe(navigation, frame, gap_s)
         noise = self._standstill.noise if self._inertial else None
-        if self._aligned:
+        if self.phase is Phase.RUNNING:
             verdicts = navigation.run(frame, standing, noise)
         else:
-            verdicts = self._seek(navigation, frame, standing)
+            verdicts = self._align(navigation, frame, standing)
         if self._parked is not None:
-            self._wake(self._parked, navigation, frame, standing)
+            self._resume_parked(self._parked, navigation, frame, standing)
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
-        if navigation.fixes.hopeless is not None:
-            self._begin_again(navigation.fixes.hopeless)
+        if navigation.fixes.diverged is not None:
+            self._restart(navigation.fixes.diverged)
             return None
-        if self._far_ns[0] and self._began_elsewhere():
-            self._begin_again(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
+        if self._far_ns[0] and self._first_fix_was_wrong():
+            self._restart(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
             return None
-        if self._watcher is not None and self._aligned:
-            self._watcher.believed(navigation)
+        if self._watcher is not None and self.phase is Phase.RUNNING:
+            self._watcher.heading_confirmed(navigation)
         self._last = self._estimate(navigation, standing, verdicts)
         return self._last
+
+    def _on(self, event: Event) -> None:
+        self.phase = TRANSITIONS[self.phase, event]
 
     def _wait(self, frame: SyncFrame) -> Navigation | None:
         """Begin at the first usable fix."""
@@ -136,7 +135,8 @@ class TramLocaliser:
             self._navigation = navigation = Navigation(self._vehicle, level, self._watcher)
             self._begun_ns = frame.stamp_ns
             navigation.ekf.set_time(frame.stamp_ns)
-            navigation.lose_heading()
+            navigation.forget_heading()
+            self._on(Event.FIRST_FIX)
             return navigation
         return None
 
@@ -146,9 +146,10 @@ class TramLocaliser:
         standstill = self._standstill
         counted_m = 0.0
         for reading in frame.odometry:
-            counted_m += self._count(reading)
+            counted_m += self._note_wheels(reading)
         x, variances, stamp_ns = navigation.ekf.state, navigation.ekf.variances, self._stamp_ns
-        speed, variance = (x[SPEED], variances[SPEED]) if self._aligned else (math.nan, 0.0)
+        running = self.phase is Phase.RUNNING
+        speed, variance = (x[SPEED], variances[SPEED]) if running else (math.nan, 0.0)
         u = navigation.reading if self._inertial else None
         standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, x[GYRO_Z])
         if not standing:
@@ -156,10 +157,10 @@ class TramLocaliser:
             self._way_m += counted_m if heard else UNSEEN_MPS * gap_s
         for fix in frame.gnss:
             if fix.valid:
-                self._see(navigation, fix)
+                self._note_fix(navigation, fix)
         return standing
 
-    def _count(self, reading: Odometry) -> float:
+    def _note_wheels(self, reading: Odometry) -> float:
         """How far the wheels have turned since the last reading, m."""
         assert self._navigation is not None
         turned = self._navigation.wheels.turned(reading)
@@ -169,7 +170,7 @@ class TramLocaliser:
         self._wheels_ns = reading.stamp_ns
         return abs(turned[1])
 
-    def _see(self, navigation: Navigation, fix: GnssFix) -> None:
+    def _note_fix(self, navigation: Navigation, fix: GnssFix) -> None:
         """Take note of a fix, apart from the filter."""
         reason = unusable(fix, navigation.level)
         if reason is not None:
@@ -177,50 +178,40 @@ class TramLocaliser:
             if unusable(fix, None) is None:
                 self._far_ns = (self._far_ns[0] or fix.stamp_ns, fix.stamp_ns)
             return
-        self._complaints += doubts(fix)
+        self._complaints += doubts(fix, navigation.level)
         self._far_ns = (0, 0)
-        speed = self._speed_over_ground(navigation, fix)
+        std_m = navigation.accuracy_m(fix)
+        speed = speed_over_ground(fix, self._last_fix, navigation.level, std_m)
         if speed is not None:
             self._standstill.speed_over_ground(fix.stamp_ns, speed)
         self._last_fix, self._way_m = fix, 0.0
 
-    def _speed_over_ground(self, navigation: Navigation, fix: GnssFix) -> float | None:
-        """What the receiver measured, or else how far apart two neighbouring fixes are."""
-        measured = velocity(fix)
-        if measured is not None:
-            return math.hypot(*measured)
-        last = self._last_fix
-        if last is None or not 0 < fix.stamp_ns - last.stamp_ns < 3 * S:
-            return None
-        a, b = antenna_l(last, navigation.level), antenna_l(fix, navigation.level)
-        dt_s = (fix.stamp_ns - last.stamp_ns) / S
-        # Neighbours share most of their error; what they do not share is no motion.
-        noise = 0.2 * navigation.accuracy_m(fix)
-        return max(0.0, math.hypot(b[0] - a[0], b[1] - a[1]) - noise) / dt_s
-
     # Without a heading ---------------------------------------------------------------------------
-    def _seek(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> list[Verdict]:
+    def _align(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> list[Verdict]:
         noise = self._standstill.noise if self._inertial else None
         if self._search is None:
             if standing:
                 return navigation.run(frame, True, noise)
             if self._heard_ns and self._stamp_ns - self._heard_ns > SILENT_S * S:
-                self._lose(navigation)
+                self._pass_unseen_time(navigation)
                 return []
+            self._on(Event.DEPARTURE)
             self._search = Search(navigation, self._last_fix)
         search, speed_mps = self._search, self._standstill.speed_over_ground_mps
-        verdicts = search.take(navigation, frame, standing, noise, speed_mps)
+        verdicts = search.step(navigation, frame, standing, noise, speed_mps)
         if search.found:
-            self._aligned, self._parked = True, None
+            self._on(Event.ALIGNED)
+            self._parked = None
         elif search.failed:
-            search.give_up(navigation)
-            self._place_again(navigation)
+            self._on(Event.ALIGNMENT_FAILED)
+            search.abandon(navigation)
+            self._reset_position(navigation)
         if search.found or search.failed:
             self._search = None
         return verdicts
 
-    def _place_again(self, navigation: Navigation) -> None:
-        """Nothing is known of the place but the last fix, and how far that may be."""
+    def _reset_position(self, navigation: Navigation) -> None:
+        """Forget the place but for the last fix, and how far that may be."""
         ekf, fix, std, std_up = navigation.ekf, self._last_fix, 1000.0, 1000.0
         if fix is not None:
             ekf.set_states(Ix.EAST, antenna_l(fix, navigation.level))
@@ -230,54 +221,58 @@ class TramLocaliser:
         ekf.reset(Ix.SPEED, 0.0, 0.0)
 
     # Silence -------------------------------------------------------------------------------------
-    def _lose(self, navigation: Navigation) -> None:
+    def _pass_unseen_time(self, navigation: Navigation) -> None:
         """Let time pass until now of which nothing is known but what the sensors' errors do."""
         ekf = navigation.ekf
         ekf.rest((self._stamp_ns - ekf.stamp_ns) / S)
         navigation.fixes.renew(ekf)
         for wheel in (0, 1):
-            ekf.begin_path(wheel, 0.0)
+            ekf.restart_path(wheel, 0.0)
         ekf.set_time(self._stamp_ns)
         navigation.stood = False
-        self._place_again(navigation)
+        self._reset_position(navigation)
 
-    def _listen(self, navigation: Navigation, frame: SyncFrame) -> None:
+    def _detect_silence(self, navigation: Navigation, frame: SyncFrame) -> None:
         """Notice that nothing tells of the motion: park a vehicle that stands, or lose it."""
         silent_s = (frame.stamp_ns - (self._heard_ns or frame.stamp_ns)) / S
         if frame.HasField("imu") or frame.odometry:
             self._heard_ns = frame.stamp_ns
-        if silent_s <= SILENT_S or not (self._aligned or self._search):
+        if silent_s <= SILENT_S or self.phase not in (Phase.SEEKING, Phase.RUNNING):
             return
-        if self._aligned and self._parked is None and self._standstill.standing:
+        running = self.phase is Phase.RUNNING
+        if running and self._parked is None and self._standstill.standing:
             self._parked = Parked(navigation)
         if silent_s > BLIND_S:
             self._complaints.append(events.HEADING_LOST(silence_s=silent_s, limit_s=BLIND_S))
-            self._aligned, self._search = False, None
+            self._on(Event.SENSORS_SILENT)
+            self._search = None
             self._way_m += UNSEEN_MPS * silent_s
-            navigation.lose_heading()
-            self._lose(navigation)
+            navigation.forget_heading()
+            self._pass_unseen_time(navigation)
 
-    def _wake(
+    def _resume_parked(
         self, parked: Parked, navigation: Navigation, frame: SyncFrame, standing: bool
     ) -> None:
         """Find out whether a parked vehicle stands there yet."""
         if self._heard_ns != frame.stamp_ns:
             return
         moved = parked.moved(frame.odometry, frame.gnss, navigation, standing)
-        if moved is None and (standing or not self._aligned):
+        if moved is None and (standing or self.phase is not Phase.RUNNING):
             return
         if moved is False:
-            parked.take_up(navigation, frame.stamp_ns)
-            self._aligned, self._search = True, None
+            parked.resume(navigation, frame.stamp_ns)
+            self._on(Event.PARKED_RESUMED)
+            self._search = None
         self._parked = None
 
     # Another beginning ---------------------------------------------------------------------------
-    def _begin_again(self, why: Event) -> None:
+    def _restart(self, why: kinds.Event) -> None:
         """Forget everything."""
         self._complaints.append(why)
+        self._on(Event.RESTART)
         self.restore(TramLocaliser(self._vehicle).snapshot())
 
-    def _set_back(self, stamp_ns: int) -> bool:
+    def _clock_was_set_back(self, stamp_ns: int) -> bool:
         """Whether time that ran backwards has gone on from there: then all begins anew."""
         first_ns, last_ns = self._back_ns
         if not 0 < stamp_ns - last_ns < BACK_S * S:
@@ -287,10 +282,10 @@ class TramLocaliser:
         if stamp_ns - first_ns < BACK_S * S:
             self._complaints.append(events.TIME_BACKWARDS(back_s=back_s))
             return False
-        self._begin_again(events.SET_BACK(back_s=back_s))
+        self._restart(events.SET_BACK(back_s=back_s))
         return True
 
-    def _began_elsewhere(self) -> bool:
+    def _first_fix_was_wrong(self) -> bool:
         """Whether the first fix was wrong, by all that came later."""
         first_ns, last_ns = self._far_ns
         before_s = (first_ns - self._begun_ns) / S
@@ -300,9 +295,10 @@ class TramLocaliser:
     def _estimate(
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
-        mode = navigation.mode(self._stamp_ns) if self._aligned else HEADING_UNKNOWN
+        running = self.phase is Phase.RUNNING
+        mode = navigation.mode(self._stamp_ns) if running else HEADING_UNKNOWN
         estimate = navigation.ekf.estimate(self._stamp_ns, mode, standing, verdicts)
-        if self._aligned:
+        if running:
             return estimate
         fix = self._last_fix
         if fix is None or (standing and self._search is None):
@@ -318,7 +314,7 @@ class TramLocaliser:
         )
 
     def constrain(self, on_track: OnTrack) -> None:
-        if self._navigation is not None and self._aligned:
+        if self._navigation is not None and self.phase is Phase.RUNNING:
             self._navigation.on_track(on_track)
 
     def see(self, mean: ImuMean) -> None:
@@ -329,7 +325,7 @@ class TramLocaliser:
         navigation, last = self._navigation, self._last
         if navigation is None or last is None:
             return None
-        if not self._aligned:
+        if self.phase is not Phase.RUNNING:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
         values = self._ahead.predict(navigation.ekf, self._stamp_ns)
         return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])
@@ -337,7 +333,7 @@ class TramLocaliser:
     def learned(self) -> list[Learned]:
         return [] if self._navigation is None else self._navigation.learned()
 
-    def complaints(self) -> list[Event]:
+    def complaints(self) -> list[kinds.Event]:
         found, self._complaints = self._complaints, []
         return found
 
@@ -350,7 +346,7 @@ class TramLocaliser:
             else [level.latitude_rad, level.longitude_rad, level.height_m],
             "navigation": None if navigation is None else navigation.snapshot(),
             "standstill": self._standstill.snapshot(),
-            "aligned": self._aligned,
+            "phase": self.phase.name,
             "search": None if search is None else search.snapshot(),
             "silence": self._silence.snapshot(),
             "parked": None if parked is None else parked.snapshot(),
@@ -378,7 +374,7 @@ class TramLocaliser:
             navigation.restore(state["navigation"])
         self._standstill.restore(state["standstill"])
         self._silence.restore(state["silence"])
-        self._aligned = state["aligned"]
+        self.phase = phase_of(state)
         last = state["last_fix"]
         self._last_fix = None if last is None else GnssFix.FromString(last)
         self._back_ns, self._far_ns = tuple(state["back_ns"]), tuple(state["far_ns"])

@@ -16,8 +16,6 @@ from tramstream.config import Vehicle
 from tramstream.estimation.fixes import deviations, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
-    DEAD_RECKONING,
-    TRACKING,
     Learned,
     OnTrack,
     Verdict,
@@ -25,11 +23,19 @@ from tramstream.estimation.localiser import (
 from tramstream.estimation.records import numbers, one
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.processors.tram.coasting import BRIDGED_S, HELD_S, RATE_HELD_S, MotionNoise
+from tramstream.processors.tram.coasting import MotionNoise
 from tramstream.processors.tram.estimate import learned
 from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
 from tramstream.processors.tram.filter import GYRO_Z, TramFilter
 from tramstream.processors.tram.gnss import Fixes
+from tramstream.processors.tram.modes import (
+    HELD_S,
+    Drive,
+    Phase,
+    drive_by_reading,
+    drive_without_reading,
+    published_mode,
+)
 from tramstream.processors.tram.wheels import WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
@@ -58,29 +64,27 @@ BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
 ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
-LOST_S = 5.0
-"""Without an accepted fix for so long it is dead reckoning."""
 
 
 class Watcher(Protocol):
     """Whoever wants to know what becomes of a navigation, as a smoother does."""
 
-    def found(self, navigation: Navigation) -> None:
+    def heading_found(self, navigation: Navigation) -> None:
         """Learn that the heading is known from here on."""
 
-    def lost(self, navigation: Navigation) -> None:
+    def heading_lost(self, navigation: Navigation) -> None:
         """Learn that it is not, from here on."""
 
     def stepped(self, navigation: Navigation, standing: bool) -> None:
         """Learn that a frame has been gone through."""
 
     def mark(self, navigation: Navigation) -> int:
-        """Give the number by which `go_back` finds this place again."""
+        """Give the number by which `restored` finds this place again."""
 
-    def go_back(self, navigation: Navigation, mark: int) -> None:
+    def restored(self, navigation: Navigation, mark: int) -> None:
         """Learn that the memory is again that of a marked place; 0: of an unmarked one."""
 
-    def believed(self, navigation: Navigation) -> None:
+    def heading_confirmed(self, navigation: Navigation) -> None:
         """Learn that the heading is held to be the right one."""
 
     def restarted(self) -> None:
@@ -154,12 +158,13 @@ class Navigation:
         """Take over the frame's inertial reading, or the bus' yaw rate; False without a reading."""
         if frame.HasField("imu") and self._read_imu(frame.imu):
             return True
-        if frame.stamp_ns - self._read_ns < HELD_S * S:
-            return False
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
-        if rates and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS:
+        turns = bool(rates) and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS
+        ages_ns = frame.stamp_ns - self._read_ns, frame.stamp_ns - self._rate_ns
+        drive = drive_without_reading(*ages_ns, turns)
+        if drive is Drive.YAW_RATE:
             self._read_rate(rates[-1])
-        elif frame.stamp_ns - self._rate_ns > RATE_HELD_S * S:
+        elif drive is Drive.COASTING:
             self._hold("now")
             self._hold("between")
             self._noise.coast(self.ekf)
@@ -168,20 +173,21 @@ class Navigation:
     def _read_imu(self, mean: ImuMean) -> bool:
         stamp_ns = mean.stamp_ns
         dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
-        pause = dt > HELD_S
-        anew = pause and (dt > BRIDGED_S or self._now["accelerometer"][0] == 0.0)
-        lasts = 0.0 if anew else dt
+        drive = Drive.INERTIAL
+        if dt > HELD_S:
+            drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
+        lasts = 0.0 if drive is Drive.COASTING else dt
         if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
             self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
             return False
         self._read_ns = stamp_ns
-        if anew:
-            self._hold("between")
-            self._noise.coast(self.ekf)
-        elif pause:
+        if drive is Drive.INERTIAL:
+            self._noise.inertial(self.ekf, self._shaking)
+        elif drive is Drive.BRIDGED:
             self._noise.bridge(self.ekf, dt)
         else:
-            self._noise.inertial(self.ekf, self._shaking)
+            self._hold("between")
+            self._noise.coast(self.ekf)
         return True
 
     def _hold(self, which: str) -> None:
@@ -275,12 +281,12 @@ class Navigation:
         if isinstance(measurement, GnssFix):
             if not measurement.valid or unusable(measurement, self.level):
                 return []
-            verdicts, found = self.fixes.take(measurement, self.ekf, self.level, standing)
+            verdicts, found = self.fixes.apply(measurement, self.ekf, self.level, standing)
             self.complaints += found
             return verdicts
         if not self.wheels.known:
             self.wheels.assign(measurement, self.ekf)
-        verdicts = self.wheels.take(measurement, self.ekf)
+        verdicts = self.wheels.apply(measurement, self.ekf)
         for verdict in verdicts:
             if not verdict.accepted:
                 self.complaints += self.wheels.refusal(verdict)
@@ -298,26 +304,25 @@ class Navigation:
         if not math.isnan(told.grade_rad):
             self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
 
-    def know_heading(self, yaw_rad: float, std_rad: float) -> None:
-        """Set the heading; see `TramFilter.know_heading`."""
-        self.ekf.know_heading(yaw_rad, std_rad)
-        self.go_on_with_heading()
+    def set_heading(self, yaw_rad: float, std_rad: float) -> None:
+        """Set the heading; see `TramFilter.set_heading`."""
+        self.ekf.set_heading(yaw_rad, std_rad)
+        self.announce_heading()
 
-    def go_on_with_heading(self) -> None:
-        """Go on with a heading that is known, found or remembered."""
+    def announce_heading(self) -> None:
+        """Tell the watcher that the heading is known from here on, found or remembered."""
         if self._watcher is not None:
-            self._watcher.found(self)
+            self._watcher.heading_found(self)
 
-    def lose_heading(self) -> None:
-        """Go on without a heading; see `TramFilter.lose_heading`."""
-        self.ekf.lose_heading()
+    def forget_heading(self) -> None:
+        """Go on without a heading; see `TramFilter.forget_heading`."""
+        self.ekf.forget_heading()
         if self._watcher is not None:
-            self._watcher.lost(self)
+            self._watcher.heading_lost(self)
 
     def mode(self, stamp_ns: int) -> int:
-        """What the place rests on at `stamp_ns`, once the heading is known."""
-        since_ns = stamp_ns - self.fixes.accepted_ns
-        return DEAD_RECKONING if since_ns > LOST_S * S else TRACKING
+        """What is published of the place at `stamp_ns`, once the heading is known."""
+        return published_mode(Phase.RUNNING, (stamp_ns - self.fixes.accepted_ns) / S)
 
     def learned(self) -> list[Learned]:
         """Give what has been learned of the sensors."""
@@ -358,7 +363,7 @@ class Navigation:
         self.fixes.restore(state["fixes"])
         self.given = [Verdict(*each) for each in state["given"]]
         if self._watcher is not None:
-            self._watcher.go_back(self, state.get("watched", 0))
+            self._watcher.restored(self, state.get("watched", 0))
 
 
 def _astray(measurement: Any, frame_ns: int) -> Event:

@@ -1,7 +1,7 @@
 """Sensors that fall silent: what is said of it, and where a vehicle stood before it.
 
 A vehicle that stood when everything fell silent most likely stands there yet, with the heading that
-it had. So its navigation is kept (`Parked`), and taken up again when wheels that have not turned
+it had. So its navigation is kept (`Parked`), and resumed when wheels that have not turned
 say so, or, where wheels cannot tell, when the fixes are where they were.
 
 Equations: docs/theory.md, section 7.7.
@@ -49,7 +49,7 @@ class Silence:
         self._said_ns: dict[str, int] = {}
         self._second = 0
 
-    def see(self, frame: SyncFrame) -> bool:
+    def note(self, frame: SyncFrame) -> bool:
         """Take note of what a frame brings; whether it is time to look for what does not come."""
         stamp_ns, last_ns = frame.stamp_ns, self._last_ns
         if frame.HasField("imu"):
@@ -129,11 +129,11 @@ class Parked:
         reach_m = SAME_PLACE_SIGMA * navigation.accuracy_m(usable[-1]) + SAME_PLACE_M
         return away_m > reach_m
 
-    def take_up(self, navigation: Navigation, stamp_ns: int) -> None:
+    def resume(self, navigation: Navigation, stamp_ns: int) -> None:
         """Let the vehicle have stood all the time until `stamp_ns`."""
-        navigation.lose_heading()  # whatever it went through meanwhile has ended
+        navigation.forget_heading()  # whatever it went through meanwhile has ended
         navigation.restore(self._navigation)
-        navigation.go_on_with_heading()
+        navigation.announce_heading()
         navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)

@@ -13,12 +13,14 @@ Equations: docs/theory.md, section 7.2.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
 from tramstream.clock import S
 from tramstream.estimation.kalman import Array, compiled
+from tramstream.estimation.records import dtype_of, numbers, one
+from tramstream.processors.tram_model.records import READING, X, Y, Z
 
 WHEELS_STILL_S = 0.6
 """Wheels that have not turned for so long stand; 30 readings at 50 Hz."""
@@ -52,15 +54,31 @@ shaking is still that of standing."""
 GNSS_AGE_S = 2.5
 
 
-_FORCE, _STILL, _RUNNING = range(3)
-"""Of what is learned: specific force along the track while standing; log of the shaking while
-standing, while running (0: not known)."""
+class Shaking(Protocol):
+    """What the readings are like in the last moments, and what they were like before."""
+
+    mean_rate: Annotated[Array, (3,)]
+    """Of the angular rates, smoothed, rad/s."""
+    mean_force: Annotated[Array, (3,)]
+    """Of the specific forces, smoothed, m/s²."""
+    rate_variance: Annotated[Array, (3,)]
+    """(rad/s)²."""
+    force_variance: Annotated[Array, (3,)]
+    """(m/s²)²."""
+    stop_force: float
+    """Specific force along the track while standing, m/s²."""
+    standing_level: float
+    """Logarithm of the shaking while standing; 0: not known."""
+    running_level: float
+    """Logarithm of the shaking while running; 0: not known."""
+
+
+SHAKING = dtype_of(Shaking)
 
 
 @compiled
-def follow(
-    statistics: Array,
-    learned: Array,
+def may_stand(
+    shaking: Array,
     u: Array,
     dt_s: float,
     standing: bool,
@@ -73,36 +91,45 @@ def follow(
 
     Parameters
     ----------
-    statistics : ndarray, shape (2, 6)
-        Mean and variance of the readings.
-    learned : ndarray, shape (3,)
+    shaking : record
+        One `Shaking`; changed in place.
+    u : record
+        One `Reading`.
     standing : bool
         What the vehicle did until now.
     known : bool
         Whether the speed over ground is.
     """
+    f, read = shaking.view(SHAKING)[0], u.view(READING)[0]
     weight = min(1.0, dt_s / SMOOTHING_S)
-    for k in range(6):
-        before = u[k] - statistics[0, k]
-        statistics[0, k] += weight * before
-        statistics[1, k] += weight * (before * (u[k] - statistics[0, k]) - statistics[1, k])
-    level = 0.5 * math.log(statistics[1, 3] + statistics[1, 4] + statistics[1, 5] + 1e-12)
-    force = statistics[0, 3]
+    _smooth(f.mean_rate, f.rate_variance, read.angular_rate, weight)
+    _smooth(f.mean_force, f.force_variance, read.specific_force, weight)
+    variance = f.force_variance[X] + f.force_variance[Y] + f.force_variance[Z]
+    level = 0.5 * math.log(variance + 1e-12)
+    force = f.mean_force[X]
     slow = ground_mps if known else abs(speed_mps)
     if known and ground_mps > RUNNING_MPS:
-        learned[_RUNNING] = _blend(learned[_RUNNING], level, dt_s / LEARNING_S)
+        f.running_level = _blend(f.running_level, level, dt_s / LEARNING_S)
     if standing and slow < CREEP_MPS:
-        learned[_STILL] = _blend(learned[_STILL], level, dt_s / LEARNING_S)
-    pushed = standing and abs(force - learned[_FORCE]) > PUSH_MPS2
-    learned[_FORCE] += dt_s / SETTLING_S * (force - learned[_FORCE])
+        f.standing_level = _blend(f.standing_level, level, dt_s / LEARNING_S)
+    pushed = standing and abs(force - f.stop_force) > PUSH_MPS2
+    f.stop_force += dt_s / SETTLING_S * (force - f.stop_force)
     if pushed or slow > (2.0 * CREEP_MPS if known else RUNNING_MPS):
         return False
-    if abs(statistics[0, 2] - bias_z) > STEADY_RADPS:
+    if abs(f.mean_rate[Z] - bias_z) > STEADY_RADPS:
         return False
-    still, running = learned[_STILL], learned[_RUNNING]
+    still, running = f.standing_level, f.running_level
     if still != 0.0 and running != 0.0 and running - still > _SEPARATION:
         return bool(level < 0.5 * (still + running))
     return bool(slow < CREEP_MPS)
+
+
+@compiled
+def _smooth(mean: Array, variance: Array, read: Array, weight: float) -> None:
+    for k in range(3):
+        before = read[k] - mean[k]
+        mean[k] += weight * before
+        variance[k] += weight * (before * (read[k] - mean[k]) - variance[k])
 
 
 @compiled
@@ -117,10 +144,10 @@ class Standstill:
         self.standing = False
         self.since_ns = 0
         """Start of the present state."""
-        self._statistics = np.zeros((2, 6))
-        self.noise = self._statistics[1]
+        self._shaking = one(SHAKING)
+        self._numbers = numbers(self._shaking)
+        self.noise = self._numbers[6:12]
         """Variance of rates and specific forces in the last moments, shape (6,)."""
-        self._learned = np.zeros(3)
         self._started = False
         self._last_ns = 0  # inertial reading
         self._wheel_ns = 0  # last reading of the wheels
@@ -160,8 +187,8 @@ class Standstill:
 
         Parameters
         ----------
-        u : ndarray, shape (≥ 6,), or None
-            Rates and specific forces; None without an inertial sensor.
+        u : record or None
+            Numbers of one `Reading`; None without an inertial sensor.
         speed_mps : float
             As the filter knows it; NaN if it does not.
         bias_z : float
@@ -171,7 +198,7 @@ class Standstill:
             self._quiet_ns, self._started = stamp_ns, False
         if u is not None:
             self._last_ns = stamp_ns
-            self._follow(stamp_ns, u, dt_s, speed_mps, bias_z)
+            self._read(stamp_ns, u, dt_s, speed_mps, bias_z)
         if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
             standing = self._by_wheels(stamp_ns, speed_mps, speed_variance)
         else:
@@ -180,7 +207,7 @@ class Standstill:
                 standing = stamp_ns - self.since_ns > RUN_S * S
         if standing != self.standing:
             self.standing, self.since_ns = standing, stamp_ns
-            self._learned[_FORCE] = self._statistics[0, 3]
+            self._shaking["stop_force"] = self._shaking["mean_force"][0, X]
         return standing
 
     def _by_wheels(self, stamp_ns: int, speed_mps: float, speed_variance: float) -> bool:
@@ -193,17 +220,14 @@ class Standstill:
         # NaN: not known, so it stands.
         return not abs(speed_mps) > LOCKED_MPS + LOCKED_SIGMA * std_mps
 
-    def _follow(
-        self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float
-    ) -> None:
+    def _read(self, stamp_ns: int, u: Array, dt_s: float, speed_mps: float, bias_z: float) -> None:
         if not self._started:
-            self._statistics[0] = u[:6]
+            self._numbers[:6] = u[:6]  # the means; nothing is known of variances
             self._started, self._quiet_ns = True, stamp_ns
-            self._learned[_FORCE] = u[3]
+            self._shaking["stop_force"] = self._shaking["mean_force"][0, X]
         known = stamp_ns - self._gnss_ns < GNSS_AGE_S * S
-        if not follow(
-            self._statistics,
-            self._learned,
+        if not may_stand(
+            self._numbers,
             u,
             dt_s,
             self.standing,
@@ -217,14 +241,14 @@ class Standstill:
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> dict[str, Any]:
         plain = {name: v for name, v in vars(self).items() if not isinstance(v, np.ndarray)}
-        return plain | {name: getattr(self, name).copy() for name in _ARRAYS}
+        return plain | {"shaking": self._numbers.copy()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            if name in _ARRAYS:
-                getattr(self, name)[:] = value
-            else:
-                setattr(self, name, value)
-
-
-_ARRAYS = ("_statistics", "_learned")
+        plain = dict(state)
+        if "shaking" in plain:
+            self._numbers[:] = plain.pop("shaking")
+        else:  # of an older version: the same numbers in the same order, in two arrays
+            self._numbers[:12] = np.ravel(plain.pop("_statistics"))
+            self._numbers[12:] = plain.pop("_learned")
+        for name, value in plain.items():
+            setattr(self, name, value)

@@ -8,7 +8,7 @@ it. Ten times a second stand beside the tape what the filter had: an `Instant`.
 
 A `Trace` begins where the filter gets a heading, with the departure that it goes through again, and
 ends where the vehicle is looked for again: nothing is smoothed across that. Two directions of
-travel that are tried side by side have a trace each; only the one that is believed counts. A ride
+travel that are tried side by side have a trace each; only the one that is confirmed counts. A ride
 takes about 0.6 GB an hour.
 """
 
@@ -123,7 +123,7 @@ class Trace:
         self.level = level
         self.parameters = numbers(ekf.parameters.copy())
         self.situation = numbers(ekf.situation.copy())
-        self.believed = False
+        self.confirmed = False
         """Whether its heading is the one that was taken."""
         self.instants: list[Records] = []
         """Blocks of instants, the last one filled as far as `stamp_ns` goes."""
@@ -205,27 +205,27 @@ class Tracer:
     def traces(self) -> list[Trace]:
         """All that have ended, and the present one, in order of time."""
         present = self._begun.get(self._number)
-        return [*self._ended, present] if present is not None and present.believed else self._ended
+        return [*self._ended, present] if present is not None and present.confirmed else self._ended
 
-    def found(self, navigation: Navigation) -> None:
+    def heading_found(self, navigation: Navigation) -> None:
         """Begin a trace; two directions of travel may be tried side by side."""
         self._count += 1
         self._begun[self._count] = Trace(navigation.level, navigation.ekf)
         for number in sorted(self._begun)[:-DIRECTIONS]:
             del self._begun[number]
-        self.go_back(navigation, self._count)
+        self.restored(navigation, self._count)
 
-    def believed(self, navigation: Navigation) -> None:
+    def heading_confirmed(self, navigation: Navigation) -> None:
         """Hold the present trace for the right one."""
         if self._number not in self._begun:  # memory was put back that knows of none
-            self.found(navigation)
-        self._begun[self._number].believed = True
+            self.heading_found(navigation)
+        self._begun[self._number].confirmed = True
 
-    def lost(self, navigation: Navigation) -> None:
+    def heading_lost(self, navigation: Navigation) -> None:
         """End the present trace."""
         self._ended = self.traces
         self._begun.clear()
-        self.go_back(navigation, 0)
+        self.restored(navigation, 0)
 
     def stepped(self, navigation: Navigation, standing: bool) -> None:
         """Keep the state ten times a second."""
@@ -239,7 +239,7 @@ class Tracer:
         """Give the number of the present trace."""
         return self._number
 
-    def go_back(self, navigation: Navigation, mark: int) -> None:
+    def restored(self, navigation: Navigation, mark: int) -> None:
         """Go on with the trace of that number."""
         self._number, navigation.ekf.watcher = mark, self._begun.get(mark)
 

@@ -3,7 +3,7 @@
 A wheel's path is held against the filter's own, reading by reading, and never loses a pulse. When a
 reading does not fit, the wheel slips or slides: it tells nothing until it has gone the filter's way
 for a while. A wheel that begins to slip at walking pace fits reading by reading, and the filter
-takes it for a slope; but its innovations lean to one side.
+takes it for a slope; Page's test (CUSUM) finds it by the mean of its innovations.
 
 Equations: docs/theory.md, sections 6.5, 6.6 and 7.5.
 """
@@ -32,28 +32,32 @@ _PATHS, _SPEEDS = ("wheel_a", "wheel_b"), ("rim_a", "rim_b")
 QUANTISATION = 1.0 / 3.0
 """Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (docs/theory.md,
 section 3.5)."""
-AGREE_S = 0.8
-"""A wheel that has slipped is believed again when it has gone the filter's way for so long..."""
-AGREE_SIGMA = 4.0
-GIVE_IN_S = 20.0
+READMIT_S = 0.8
+"""A wheel that has slipped is used again when it has gone the filter's way for so long; chosen by
+hand, guarded by `tests/processors/tram/test_tram_faults.py`..."""
+READMIT_SIGMA = 4.0
+OVERRULE_S = 20.0
 """... or when it has disagreed for so long: then the filter's speed is wrong, not the wheel."""
-WRONG_RAD = 0.01
+OVERRULE_STD_RAD = 0.01
 """... and its pitch, which took gravity for a push."""
-SLACK = 0.75
-LEAN = 10.0
-"""Innovations whose sum, less so much each, comes to so many of their deviations lean to one side
-(Page's test): where they are white, once a day; a lean by 1.5 deviations is seen in a quarter of a
-second."""
-COMPANION = 0.3
-"""A wheel that leans so much of it with another that has lost its grip has lost it too."""
-HELD_S = 2.0
-"""So long such a wheel is not believed: the filter, led by it, finds it right."""
-LED_MPS = 0.005
-LED_RAD = 0.001
-"""What a slip has done to speed and pitch when it is seen by how the innovations lean."""
-MAX_PAUSE_S = 0.5
+CUSUM_SLACK = 0.75
+CUSUM_LIMIT = 10.0
+"""Page's test (CUSUM): normalised innovations are added up, less the slack each, and a sum above
+the limit is a slip. White ones come so far once a day; a mean of 1.5 deviations is seen in a
+quarter of a second (docs/theory.md, section 7.5)."""
+COMPANION_SHARE = 0.3
+"""A wheel whose sum is so much of that of a wheel that slips, to the same side, slips too; chosen
+by hand."""
+EXCLUDED_S = 2.0
+"""So long such a wheel is not used: the filter, misled by it, would find it right; chosen by
+hand."""
+MISLED_STD_MPS = 0.005
+MISLED_STD_RAD = 0.001
+"""What a slip has done to speed and pitch when Page's test finds it; chosen by hand, guarded by
+`test_slip_at_walking_pace_is_no_slope`."""
+LONGEST_PAUSE_S = 0.5
 """After a longer pause a path says nothing about the wheel's grip,"""
-LONGEST_PAUSE_S = 20.0
+LONGEST_COUNTED_S = 20.0
 BLIND_STD_M = 0.3
 """but up to this one it says more than a filter that knows its way no better."""
 MAX_MPS = 40.0
@@ -74,23 +78,23 @@ class Wheel:
     stamp_ns: int = 0
     slipping: bool = False
     slip_ns: int = 0  # since when
-    agreed_ns: int = 0  # since when it agrees again; later than now while it is not believed
-    agreed_m: float = 0.0  # way since then
+    agrees_since_ns: int = 0  # since when it agrees again; later than now while it is excluded
+    agreed_path_m: float = 0.0  # way since then
     refused: bool = False  # its last reading
-    ahead: float = 0.0  # by how much its innovations lean forwards,
-    behind: float = 0.0  # and backwards, in their deviations
+    cusum_up: float = 0.0  # upper and lower sum of Page's test on its normalised innovations
+    cusum_down: float = 0.0
     signed: bool = False  # has counted down
     down: int = 0  # readings in a row in which it has
 
     @property
-    def lean(self) -> float:
-        """By how much its innovations lean, forwards positive."""
-        return self.ahead if self.ahead > self.behind else -self.behind
+    def cusum(self) -> float:
+        """The greater sum of Page's test; the lower one counts negative."""
+        return self.cusum_up if self.cusum_up > self.cusum_down else -self.cusum_down
 
     @property
     def fits(self) -> bool:
-        """Whether neither its last reading nor the lean of its innovations tells of a slip."""
-        return not (self.refused or self.ahead > LEAN or self.behind > LEAN)
+        """Whether neither the innovation gate nor Page's test tells of a slip."""
+        return not (self.refused or self.cusum_up > CUSUM_LIMIT or self.cusum_down > CUSUM_LIMIT)
 
 
 class WheelPair:
@@ -150,24 +154,24 @@ class WheelPair:
             return None
         return any(ways), sum(ways) / len(ways)
 
-    def take(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
-        """Take all wheels of a reading; the filter is at its stamp."""
+    def apply(self, reading: Odometry, ekf: TramFilter) -> list[Verdict]:
+        """Apply all wheels of a reading; the filter is at its stamp."""
         verdicts, stamp_ns, fits = [], reading.stamp_ns, True
         for each in reading.wheels:
             wheel = self._wheels.get(each.wheel)
             if wheel is None:
                 continue
             if each.HasField("pulses"):
-                verdict = self._path(wheel, each.pulses, stamp_ns, ekf)
+                verdict = self._wheel_path(wheel, each.pulses, stamp_ns, ekf)
                 fits = fits and wheel.fits
             elif _has_speed(each):
-                verdict = self._rim(wheel, each, stamp_ns, ekf)
+                verdict = self._wheel_speed(wheel, each, stamp_ns, ekf)
             else:
                 continue
             if verdict is not None:
                 verdicts.append(verdict)
         if not fits:
-            self._watch(stamp_ns, ekf)
+            self._detect_slip(stamp_ns, ekf)
         return verdicts
 
     def counted(self, frames: list[SyncFrame]) -> float:
@@ -190,13 +194,13 @@ class WheelPair:
             return -1.0
         return 1.0 if any(wheel.signed for wheel in self._wheels.values()) else 0.0
 
-    def run(self, direction: float, counted: float, ekf: TramFilter) -> None:
+    def count_as_running(self, direction: float, counted: float, ekf: TramFilter) -> None:
         """Let the wheels count as they did for a vehicle that ran in `direction`."""
         sign = direction if counted > 0.0 else 1.0
         for slot in (0, 1):
             ekf.set_wheel_sign(slot, sign)
 
-    def remember(self, reading: Odometry) -> None:
+    def note_counters(self, reading: Odometry) -> None:
         """Remember where the wheels' counters are, without a filter to tell."""
         for each in reading.wheels:
             wheel = self._wheels.get(each.wheel)
@@ -228,56 +232,59 @@ class WheelPair:
             wheel.signed |= wheel.down >= COUNTS_DOWN
         return way
 
-    def _path(self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter) -> Verdict | None:
+    def _wheel_path(
+        self, wheel: Wheel, pulses: int, stamp_ns: int, ekf: TramFilter
+    ) -> Verdict | None:
         pause_s = (stamp_ns - wheel.stamp_ns) / S
         way = self._count(wheel, pulses, stamp_ns)
         speed = ekf.state[SPEED]
         variance = self._pulse_variance + speed**2 * self._stamp_variance
-        if way is None or (pause_s > MAX_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
-            self._begin(wheel, stamp_ns, variance, ekf)
+        if way is None or (pause_s > LONGEST_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
+            self._restart_path(wheel, stamp_ns, variance, ekf)
             return None
         sign = ekf.wheel_signs[wheel.slot]
         if wheel.signed or way * sign * speed < 0.0:
-            self._turn_sign(wheel, way, speed, ekf)
+            self._correct_sign(wheel, way, speed, ekf)
         if wheel.slipping:
-            return self._slip(wheel, way, variance, stamp_ns, pause_s, ekf)
+            return self._watch_slipping(wheel, way, variance, stamp_ns, pause_s, ekf)
         (verdict,) = ekf.apply(WheelPath(wheel.slot, way, variance))
         normal = verdict.innovation / math.sqrt(verdict.variance)
         wheel.refused = not verdict.accepted
-        ahead, behind = wheel.ahead + normal - SLACK, wheel.behind - normal - SLACK
-        wheel.ahead = ahead if ahead > 0.0 else 0.0
-        wheel.behind = behind if behind > 0.0 else 0.0
+        up = wheel.cusum_up + normal - CUSUM_SLACK
+        down = wheel.cusum_down - normal - CUSUM_SLACK
+        wheel.cusum_up = up if up > 0.0 else 0.0
+        wheel.cusum_down = down if down > 0.0 else 0.0
         return verdict
 
-    def _begin(self, wheel: Wheel, stamp_ns: int, variance: float, ekf: TramFilter) -> None:
+    def _restart_path(self, wheel: Wheel, stamp_ns: int, variance: float, ekf: TramFilter) -> None:
         """Count a wheel's path from here on."""
-        wheel.agreed_ns, wheel.agreed_m = stamp_ns, 0.0
-        wheel.ahead, wheel.behind, wheel.refused = 0.0, 0.0, False
-        ekf.begin_path(wheel.slot, variance)
+        wheel.agrees_since_ns, wheel.agreed_path_m = stamp_ns, 0.0
+        wheel.cusum_up, wheel.cusum_down, wheel.refused = 0.0, 0.0, False
+        ekf.restart_path(wheel.slot, variance)
 
-    def _watch(self, stamp_ns: int, ekf: TramFilter) -> None:
-        """Find wheels that have lost their grip, and with them those that lean the same way.
+    def _detect_slip(self, stamp_ns: int, ekf: TramFilter) -> None:
+        """Exclude wheels that slip, and those whose sums of Page's test have grown with theirs.
 
-        The filter may have been led astray before that is seen, by as much as they lean.
+        The filter may have been misled before that is seen, the more, the greater the sum.
         """
         wheels = [wheel for wheel in self._wheels.values() if not wheel.slipping]
-        lost = [wheel for wheel in wheels if not wheel.fits]
-        most = max((wheel.lean for wheel in lost), key=abs)
-        led = min(abs(most) / LEAN, 1.0)
+        slipping = [wheel for wheel in wheels if not wheel.fits]
+        most = max((wheel.cusum for wheel in slipping), key=abs)
+        misled = min(abs(most) / CUSUM_LIMIT, 1.0)
         for wheel in wheels:
-            if wheel in lost or wheel.lean * most > COMPANION * most * most:
+            if wheel in slipping or wheel.cusum * most > COMPANION_SHARE * most * most:
                 wheel.slipping, wheel.slip_ns = True, stamp_ns
-                held_ns = int(led * HELD_S * S)
-                self._begin(wheel, stamp_ns + held_ns, self._m_per_pulse**2, ekf)
+                excluded_ns = int(misled * EXCLUDED_S * S)
+                self._restart_path(wheel, stamp_ns + excluded_ns, self._m_per_pulse**2, ekf)
                 self.slips += 1
-        ekf.widen(Ix.SPEED, LED_MPS * led)
-        ekf.widen(Ix.PITCH, LED_RAD * led)
+        ekf.widen(Ix.SPEED, MISLED_STD_MPS * misled)
+        ekf.widen(Ix.PITCH, MISLED_STD_RAD * misled)
 
     def _counts(self, wheel: Wheel, pause_s: float, ekf: TramFilter) -> bool:
         """Whether what was counted in a pause says more than what the filter knows of it."""
-        return pause_s < LONGEST_PAUSE_S and path_variance(ekf, wheel) > BLIND_STD_M**2
+        return pause_s < LONGEST_COUNTED_S and path_variance(ekf, wheel) > BLIND_STD_M**2
 
-    def _turn_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
+    def _correct_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
         before = ekf.wheel_signs[wheel.slot]
         if wheel.signed:
@@ -288,9 +295,9 @@ class WheelPair:
             return
         if sign != before:
             ekf.set_wheel_sign(wheel.slot, sign)
-            ekf.begin_path(wheel.slot, self._m_per_pulse**2)
+            ekf.restart_path(wheel.slot, self._m_per_pulse**2)
 
-    def _slip(
+    def _watch_slipping(
         self,
         wheel: Wheel,
         way: float,
@@ -300,28 +307,28 @@ class WheelPair:
         ekf: TramFilter,
     ) -> Verdict:
         """Watch a slipping wheel, without a word to the filter."""
-        wheel.agreed_m += way
-        y = wheel.agreed_m - ekf.shown_path(wheel.slot)
+        wheel.agreed_path_m += way
+        y = wheel.agreed_path_m - ekf.expected_path(wheel.slot)
         S_y = path_variance(ekf, wheel) + variance
-        if stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+        if stamp_ns - wheel.slip_ns > OVERRULE_S * S:
             ekf.widen(Ix.SPEED, abs(abs(way) / pause_s - abs(ekf.state[SPEED])))
-            ekf.widen(Ix.PITCH, WRONG_RAD)
+            ekf.widen(Ix.PITCH, OVERRULE_STD_RAD)
             wheel.slipping = False
-        elif y * y > AGREE_SIGMA**2 * S_y:
-            self._begin(wheel, max(stamp_ns, wheel.agreed_ns), variance, ekf)
-        elif stamp_ns - wheel.agreed_ns > AGREE_S * S:
+        elif y * y > READMIT_SIGMA**2 * S_y:
+            self._restart_path(wheel, max(stamp_ns, wheel.agrees_since_ns), variance, ekf)
+        elif stamp_ns - wheel.agrees_since_ns > READMIT_S * S:
             wheel.slipping = False
         if not wheel.slipping:
-            self._begin(wheel, stamp_ns, variance, ekf)
+            self._restart_path(wheel, stamp_ns, variance, ekf)
         name = "wheel_a" if wheel.slot == 0 else "wheel_b"
         return Verdict(name, y, S_y, False)
 
-    def _rim(
+    def _wheel_speed(
         self, wheel: Wheel, each: WheelReading, stamp_ns: int, ekf: TramFilter
     ) -> Verdict | None:
         wheel.signed |= each.speed_mps < -TURNING_MPS
         speed = ekf.state[SPEED]
-        self._turn_sign(wheel, each.speed_mps, speed, ekf)
+        self._correct_sign(wheel, each.speed_mps, speed, ekf)
         measurement = WheelSpeed(wheel.slot, each.speed_mps, self._speed_std * self._speed_std)
         (verdict,) = ekf.apply(measurement)
         if verdict.accepted:
@@ -329,7 +336,7 @@ class WheelPair:
         elif not wheel.slipping:
             wheel.slipping, wheel.slip_ns = True, stamp_ns
             self.slips += 1
-        elif stamp_ns - wheel.slip_ns > GIVE_IN_S * S:
+        elif stamp_ns - wheel.slip_ns > OVERRULE_S * S:
             ekf.widen(Ix.SPEED, abs(verdict.innovation))
             wheel.slip_ns = stamp_ns
         return verdict
@@ -356,7 +363,19 @@ class WheelPair:
 
     def restore(self, state: dict[str, Any]) -> None:
         self.slips = state["slips"]
-        self._wheels = {name: Wheel(**fields) for name, fields in state["wheels"].items()}
+        self._wheels = {
+            name: Wheel(**{_RENAMED.get(field, field): value for field, value in fields.items()})
+            for name, fields in state["wheels"].items()
+        }
+
+
+_RENAMED = {
+    "ahead": "cusum_up",
+    "behind": "cusum_down",
+    "agreed_ns": "agrees_since_ns",
+    "agreed_m": "agreed_path_m",
+}
+"""What snapshots of older versions call the fields of a wheel."""
 
 
 def path_variance(ekf: TramFilter, wheel: Wheel) -> float:

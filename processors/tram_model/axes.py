@@ -110,11 +110,12 @@ def _smooth(i: Inertial, dt: float) -> None:
 
 
 @compiled
-def origin(f: Memory, share: float, motion: Array, covariance: Array) -> None:
+def origin(f: Memory, share: float, facing: bool, motion: Array, covariance: Array) -> None:
     """Give motion and covariance of the vehicle's origin at the true time of the stamp.
 
     The filter's own position is the pivot's, at the time that the inertial stamps mean: `share` of
-    the fixes' delay is theirs.
+    the fixes' delay is theirs. While the heading is not known (`facing`), the position is the
+    antenna's, and the true time says nothing of it: it is given as it is.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def origin(f: Memory, share: float, motion: Array, covariance: Array) -> None:
         for j in range(7):
             covariance[i, j] = P[i, j]
     pivot, early = x[Ix.PIVOT], share * x[Ix.GNSS_DELAY]
-    if pivot == 0.0 and share == 0.0:
+    if not facing or (pivot == 0.0 and share == 0.0 and P[Ix.PIVOT, Ix.PIVOT] == 0.0):
         return
     cos, sin = math.cos(x[Ix.YAW]), math.sin(x[Ix.YAW])
     v = x[Ix.SPEED]
@@ -160,17 +161,14 @@ def origin(f: Memory, share: float, motion: Array, covariance: Array) -> None:
 
 
 @compiled
-def fill_estimate(f: Memory, share: float, values: Array) -> None:
+def fill_estimate(f: Memory, share: float, facing: bool, values: Array) -> None:
     """Fill the values of an estimate (`estimation.localiser`) with the motion of the origin."""
-    origin(f, share, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
+    origin(f, share, facing, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
     values[ACCELERATION], values[YAW_RATE] = f.acceleration, f.yaw_rate
 
 
 @compiled
 def estimate(memory: Array, parameters: Array, facing: bool, values: Array) -> None:
-    """Fill the values of an estimate out of the filter's memory.
-
-    While the heading is not known (`facing`), the stamp's true time says nothing of the place.
-    """
-    share = parameters.view(PARAMETERS)[0].clock_share if facing else 0.0
-    fill_estimate(memory.view(MEMORY)[0], share, values)
+    """Fill the values of an estimate out of the filter's memory; see `origin`."""
+    share = parameters.view(PARAMETERS)[0].clock_share
+    fill_estimate(memory.view(MEMORY)[0], share, facing, values)

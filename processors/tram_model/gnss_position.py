@@ -4,8 +4,8 @@
 
 with the pivot's place p, the lever arm p_va, the correlated error of the fixes b, the antenna's
 velocity v_a, and the delay τ by which the fix's stamp is too late; n is the white part of the error
-(docs/theory.md, section 6). East and north are gated together; the height, which jumps more often,
-has a gate of its own and is linearised anew behind them.
+(docs/theory.md, section 6.2). East and north are gated together; the height, which jumps more
+often, has a gate of its own and is linearised anew behind them.
 """
 
 from __future__ import annotations
@@ -55,14 +55,15 @@ def jacobian(x: Array, c: Parameters, s: Situation, yaw_rate: float, H: Array) -
     ve, vn = antenna_velocity(x, c, s, yaw_rate)
     cp, delay = math.cos(x[Ix.PITCH]), x[Ix.GNSS_DELAY]
     sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
+    along = cp if s.heading_known else 0.0
     h = H[0]
     h[Ix.EAST], h[Ix.GNSS_EAST], h[Ix.GNSS_DELAY] = 1.0, 1.0, -ve
     h[Ix.SPEED], h[Ix.YAW] = -cy * cp * delay, -north + vn * delay
-    h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = cy * az, sy * az, cy * cp
+    h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = cy * az, sy * az, cy * along
     h = H[1]
     h[Ix.NORTH], h[Ix.GNSS_NORTH], h[Ix.GNSS_DELAY] = 1.0, 1.0, -vn
     h[Ix.SPEED], h[Ix.YAW] = -sy * cp * delay, east - ve * delay
-    h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = sy * az, -cy * az, sy * cp
+    h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = sy * az, -cy * az, sy * along
 
 
 @compiled

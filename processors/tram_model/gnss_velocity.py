@@ -3,7 +3,7 @@
     z = v_a − a_a τ + n
 
 with the antenna's velocity v_a and acceleration a_a, and the delay τ by which the stamp is too late
-(docs/theory.md, section 6; the velocity's lever arm: `lever_arm.py`).
+(docs/theory.md, section 6.4; the velocity's lever arm: `lever_arm.py`).
 """
 
 from __future__ import annotations
@@ -51,17 +51,18 @@ def jacobian(
     cp, delay = math.cos(x[Ix.PITCH]), x[Ix.GNSS_DELAY]
     ae, an = cy * acceleration - yaw_rate * vn, sy * acceleration + yaw_rate * ve
     # A high antenna leans with roll and pitch.
+    turn = yaw_rate if s.heading_known else 0.0
     swing, sinking = yaw_rate * az, x[Ix.SPEED] * math.sin(x[Ix.PITCH])
     h = H[0]
     h[Ix.SPEED], h[Ix.YAW], h[Ix.GNSS_DELAY] = cy * cp, an * delay - vn, -ae
     h[Ix.GYRO_Z] = cy * across + sy * along
     h[Ix.ROLL], h[Ix.PITCH] = cy * swing, -cy * sinking - sy * swing
-    h[Ix.PIVOT] = -sy * yaw_rate
+    h[Ix.PIVOT] = -sy * turn
     h = H[1]
     h[Ix.SPEED], h[Ix.YAW], h[Ix.GNSS_DELAY] = sy * cp, ve - ae * delay, -an
     h[Ix.GYRO_Z] = sy * across - cy * along
     h[Ix.ROLL], h[Ix.PITCH] = sy * swing, -sy * sinking + cy * swing
-    h[Ix.PIVOT] = cy * yaw_rate
+    h[Ix.PIVOT] = cy * turn
 
 
 @compiled

@@ -5,7 +5,7 @@
 The vehicle's pivot has no speed to the side, so what the accelerometer reads there is curve and
 cant alone. That there is no such speed is in the motion already; this is its derivative (P. D.
 Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-section 15.4.1, has the constraint itself; docs/theory.md, section 6, this form).
+section 15.4.1, has the constraint itself; docs/theory.md, section 6.7, this form).
 """
 
 from __future__ import annotations

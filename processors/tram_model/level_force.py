@@ -4,7 +4,7 @@
 
 What a level sensor shows; with the ride's accelerations it tells pitch and bias apart (P. D.
 Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-section 5.6.2: levelling).
+section 5.6.2: levelling; docs/theory.md, section 6.9).
 """
 
 from __future__ import annotations

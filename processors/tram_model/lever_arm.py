@@ -18,9 +18,10 @@ from tramstream.processors.tram_model.states import Ix
 @compiled
 def lever_arm(x: Array, c: Parameters, s: Situation) -> tuple[float, float, float]:
     """Give p_va from the pivot to the antenna, resolved in v, m."""
-    known = 1.0 if s.heading_known else 0.0
     arm = c.antenna_lever
-    return known * arm[X] + x[Ix.PIVOT], known * arm[Y], known * arm[Z]
+    if not s.heading_known:
+        return 0.0, 0.0, 0.0
+    return arm[X] + x[Ix.PIVOT], arm[Y], arm[Z]
 
 
 @compiled

@@ -150,8 +150,10 @@ def transition(x: Array, c: Parameters, s: Situation, u: Reading, dt: float, A: 
     A[Ix.UP, Ix.PITCH] = -cp * along
     A[Ix.SPEED, Ix.PITCH] = c.gravity * cp * dt * driven
     A[Ix.SPEED, Ix.ACCEL_X] = -dt * driven
-    A[Ix.SPEED, Ix.MOUNT_YAW] = -u.specific_force[Y] * dt * driven
-    A[Ix.SPEED, Ix.MOUNT_PITCH] = u.specific_force[Z] * dt * driven
+    # By gravity, as `level_force` has it, and not by the force that is read: its bias would pass
+    # for knowledge of the mounting, and so of the pitch (docs/theory.md, section 5.3).
+    A[Ix.SPEED, Ix.MOUNT_YAW] = -c.gravity * cp * sr * dt * driven
+    A[Ix.SPEED, Ix.MOUNT_PITCH] = c.gravity * cp * cr * dt * driven
     A[Ix.ROLL, Ix.ROLL] = tp * dipping * dt
     A[Ix.ROLL, Ix.PITCH] = turning / (cp * cp) * dt
     A[Ix.PITCH, Ix.ROLL] = -turning * dt

@@ -94,7 +94,7 @@ def estimate_ahead(
     f, c, s = ahead.view(MEMORY)[0], parameters.view(PARAMETERS)[0], situation.view(SITUATION)[0]
     unseen = kept.view(KEPT)[begin:end]
     _predict(memory.view(MEMORY)[0], f, c, s, unseen, mean.view(READING)[0])
-    fill_estimate(f, c.clock_share, values)
+    fill_estimate(f, c.clock_share, True, values)
 
 
 @compiled

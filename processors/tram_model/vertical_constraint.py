@@ -4,7 +4,7 @@
 
 for the speed w along z, which is a state where the vertical specific force is used (P. D. Groves,
 Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section
-15.4.1).
+15.4.1; docs/theory.md, section 6.8).
 """
 
 from __future__ import annotations

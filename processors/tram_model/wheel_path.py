@@ -4,7 +4,7 @@
 
 with the path s that the filter has integrated for that wheel (a state, which counts from each
 reading on), its scale error k, the sign σ by which it counts, and the delay τ of the bus
-(docs/theory.md, section 6). A path never loses a pulse to rounding, as a speed made of
+(docs/theory.md, section 6.5). A path never loses a pulse to rounding, as a speed made of
 pulses would.
 """
 

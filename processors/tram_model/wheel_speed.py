@@ -3,7 +3,7 @@
     z = σ (v − v̇ τ − d ω_z) (1 + k) + n
 
 with the wheel's offset d to the left of the axis, its scale error k, the sign σ by which it counts,
-and the delay τ of the bus (docs/theory.md, section 6).
+and the delay τ of the bus (docs/theory.md, section 6.6).
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     ω = b_g + n, axis by axis
 
 P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-section 15.3.2. Left out: the Earth's rotation, which the biases take up, and the small angles of
-the mounting, by which a bias would have to be turned.
+section 15.3.2; docs/theory.md, section 6.9. Left out: the Earth's rotation, which the biases take
+up, and the small angles of the mounting, by which a bias would have to be turned.
 """
 
 from __future__ import annotations

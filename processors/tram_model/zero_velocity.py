@@ -3,7 +3,7 @@
     0 = v + n
 
 P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-section 15.3.
+section 15.3; docs/theory.md, section 6.9.
 """
 
 from __future__ import annotations

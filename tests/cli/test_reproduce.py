@@ -98,7 +98,7 @@ def test_matching_wants_a_network_and_lines_that_it_has(tmp_path: Path) -> None:
 def test_matching_prints_one_json_object_of_lines_and_detours(tmp_path: Path) -> None:
     path = tmp_path / "small.net"
     junctions().save(path)
-    options = ["--net", str(path), "--seeds", "2", "--detours", "1", "--duration-s", "30"]
+    options = ["--net", str(path), "--seeds", "2", "--detours", "1", "--duration-s", "15"]
     done = finished(command("reproduce", "matching", *options, "--json"), check=True)
     figures = json.loads(done.stdout)
     assert figures["missing_rides"] == 0

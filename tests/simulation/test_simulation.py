@@ -164,7 +164,8 @@ def test_inertial_samples_are_the_truth_at_the_mounted_case(reverse: bool) -> No
     level = line().level
     gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
     motion = simulation.ride.motion(np.arange(count) / 200.0)
-    f_v, omega_v = inertial(motion, gravity, (2.5, 0.3, 1.0))
+    up_l = level.up_l(line().position_l(motion.arc_length_m))
+    f_v, omega_v = inertial(motion, gravity, (2.5, 0.3, 1.0), up_l)
     # The case means what the configuration says, turned by what it does not know.
     C_bv = C_vl(*np.radians([1.0, -2.0, 3.0])) @ C_vl(*np.radians([0.0, 0.0, 90.0]))
     accel = columns(samples, ("accel_x", "accel_y", "accel_z"), 1e-6)
@@ -291,8 +292,12 @@ def test_truth_messages_are_the_truth() -> None:
         message = sample.message
         assert message.arc_length_m == truth.motion.arc_length_m
         assert message.speed_mps == truth.motion.speed_mps <= 0
-        assert message.pitch_rad == truth.motion.pitch_rad
-        assert message.roll_rad == truth.motion.roll_rad
+        # What the accelerometer of a vehicle at rest there would show of its attitude.
+        up_v = C_vl(truth.motion.roll_rad, truth.motion.pitch_rad, truth.motion.yaw_rad) @ (
+            line().level.up_l(truth.p_l)
+        )
+        assert message.pitch_rad == pytest.approx(-math.asin(up_v[0]), abs=1e-8)
+        assert message.roll_rad == pytest.approx(math.atan2(up_v[1], up_v[2]), abs=1e-6)
         assert math.cos(message.yaw_rad - truth.motion.yaw_rad) == pytest.approx(1.0)
         geodetic = [math.radians(message.latitude_deg), math.radians(message.longitude_deg)]
         p_l = line().level.from_geodetic([*geodetic, message.height_ellipsoid_m])

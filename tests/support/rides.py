@@ -12,12 +12,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream import keys
+from tramstream.analysis.studies.frames import frames
 from tramstream.clock import S
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.geodesy import LocalLevel
 from tramstream.lines.line import Line, parse_plan
-from tramstream.processors.resampling.resampler import Resampler
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation import scenario
@@ -81,15 +80,7 @@ def time_s(stamp_ns: int) -> float:
 def ridden(line: Line, chosen: Scenario, seed: int, duration_s: float | None = None) -> Ride:
     """Simulate a ride and put it through the resampler."""
     simulation = Simulation(line, chosen, seed, duration_s)
-    resampler = Resampler(simulation.vehicle)
-    frames = [
-        released.message
-        for sample in simulation.samples()
-        if sample.key in resampler.inputs
-        for released in resampler.step(sample)
-        if released.key is keys.SYNC_FRAME
-    ]
-    return Ride(simulation, frames)
+    return Ride(simulation, [frame.message for frame in frames(simulation, [])])
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from tramstream.analysis.evaluate.consistency import (
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.series import Slot, wrapped_rad
-from tramstream.geodesy import convergence_rad
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
@@ -252,11 +251,11 @@ def nees(simulation: Simulation, states: Sequence[MotionState]) -> dict[str, Arr
     geodetic = rows * (math.pi / 180.0, math.pi / 180.0, 1.0)
     truth = simulation.truth(np.array([each.stamp_ns for each in states]))
     motion = truth.motion
-    yaw = motion.yaw_rad - convergence_rad(level, level.to_geodetic(truth.p_l)[:, 1])
+    roll, pitch, yaw = simulation.ride.attitude(motion)
     said = np.array(
         [(each.speed_mps, each.roll_rad, each.pitch_rad, each.yaw_rad) for each in states]
     )
-    true = np.stack([motion.speed_mps, motion.roll_rad, motion.pitch_rad, yaw], axis=1)
+    true = np.stack([motion.speed_mps, roll, pitch, yaw], axis=1)
     error = np.concatenate([level.from_geodetic(geodetic) - truth.p_l, said - true], axis=1)
     error[:, Slot.YAW] = wrapped_rad(error[:, Slot.YAW])
     P = np.empty((len(states), len(Slot), len(Slot)))

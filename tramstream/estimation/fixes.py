@@ -23,6 +23,10 @@ WORST_STD_M = 1000.0
 """A fix whose stated deviation is larger tells nothing, m."""
 FAR_M = 200_000.0
 """A fix further from the origin of the level frame is not of this ride, m."""
+NO_COURSE_DEG = 90.0
+"""A course whose stated deviation is this or more tells no direction; 0 states none."""
+FASTEST_MPS = 100.0
+"""No rail vehicle of this house is faster; a velocity beyond is none."""
 HIGHEST_M = 9000.0
 """A fix higher or deeper than this is not near the ground (Mount Everest: 8849 m), m."""
 
@@ -65,6 +69,32 @@ def _away_m(fix: GnssFix, level: LocalLevel) -> float:
     east = math.remainder(math.radians(fix.longitude_deg) - level.longitude_rad, math.tau)
     east *= radius * math.cos(level.latitude_rad)
     return math.hypot(north, east)
+
+
+def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:
+    """East and north in `level`, m/s; None if the receiver has measured nothing that can be one.
+
+    A receiver that gives no components (NMEA's) may give speed and course.
+
+    The receiver's axes are those of its place, which the meridian convergence turns against those
+    of the level frame (docs/theory.md, section 2.2). Its up leans by a thousandth in ten
+    kilometres, by which no vertical speed of a rail vehicle shows here.
+    """
+    if fix.HasField("vel_e_mps") or fix.HasField("vel_n_mps"):
+        if not (fix.HasField("vel_e_mps") and fix.HasField("vel_n_mps")):
+            return None
+        east, north = fix.vel_e_mps, fix.vel_n_mps
+    elif fix.speed_mps > 0.0 and fix.course_std_deg < NO_COURSE_DEG:
+        course = math.radians(fix.course_deg)
+        east, north = fix.speed_mps * math.sin(course), fix.speed_mps * math.cos(course)
+    else:  # 0 is also what a receiver leaves that has measured none, or holds its place
+        return None
+    if not abs(east) + abs(north) < FASTEST_MPS:
+        return None
+    off = math.radians(fix.longitude_deg) - level.longitude_rad
+    angle = math.atan2(math.sin(level.latitude_rad) * math.sin(off), math.cos(off))
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * east - sin * north, sin * east + cos * north
 
 
 def antenna_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float, float]:

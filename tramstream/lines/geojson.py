@@ -132,7 +132,8 @@ def lay_beside(mapped: Track) -> Laid:
     """Lay a smooth line along a mapped track, and tell which point is beside which."""
     middle, ends = mapped.geodetic[len(mapped.geodetic) // 2], mapped.geodetic[:, 2]
     level = LocalLevel(float(middle[0]), float(middle[1]), float(np.mean(ends)))
-    points = level.from_geodetic(mapped.geodetic)[:, :2]
+    p_l = level.from_geodetic(mapped.geodetic)
+    points = p_l[:, :2]
     chainage = _chainage(points)
     scale = 1.0 if mapped.length_m is None else chainage[-1] / mapped.length_m
     part = _longest_part(points)
@@ -140,7 +141,7 @@ def lay_beside(mapped: Track) -> Laid:
     chainage = chainage[part] - begin_m
     if chainage[-1] < _SHORTEST_M:
         raise ConfigError(f"line {mapped.name}: is only {chainage[-1]:.0f} m long")
-    slope, up = _slope(chainage, mapped.geodetic[part, 2] - level.height_m)
+    slope, up = _slope(chainage, p_l[part, 2], mapped.geodetic[part, 2] - level.height_m)
     grade = _along_arc(slope, fit(points, Profile.level())) if not slope.flat else slope
     course = fit(points, grade)
     ends_m = [0.0, float(chainage[-1])]
@@ -281,15 +282,17 @@ def _longest_part(plan: Array) -> slice:
     return slice(begin, end + 1)
 
 
-def _slope(chainage: Array, heights: Array) -> tuple[Profile, float]:
-    """Slope angle against chainage, smooth and nowhere too steep, and the height at its start."""
+def _slope(chainage: Array, up: Array, heights: Array) -> tuple[Profile, float]:
+    """Slope angle in `l` against chainage, smooth and nowhere too steep, and up at its start.
+
+    Heights are smoothed. What is left of `up` without them is the Earth's curvature, which is as
+    smooth as it is.
+    """
     count = max(round(chainage[-1] / _HEIGHT_STEP_M), 2)
     at = np.linspace(0.0, chainage[-1], count + 1)
     step_m = at[1]
-    raw = np.interp(at, chainage, heights)
-    if np.ptp(raw) == 0:
-        return Profile.level(), float(raw[0])
-    smooth = _smoothed(raw, step_m)
+    fall = np.interp(at, chainage, up - heights)
+    smooth = _smoothed(np.interp(at, chainage, heights), step_m)
     for _ in range(_ROUNDS_MAX):
         grade = np.gradient(smooth, at)
         steep = np.abs(grade) > GRADE_MAX
@@ -297,9 +300,11 @@ def _slope(chainage: Array, heights: Array) -> tuple[Profile, float]:
             break
         around = np.clip(2 * _smoothed(steep.astype(float), step_m), 0, 1)
         smooth = smooth + around * (_smoothed(smooth, step_m) - smooth)
-    grade = np.clip(np.gradient(smooth, at), -GRADE_MAX, GRADE_MAX)
+    grade = np.clip(np.gradient(smooth, at), -GRADE_MAX, GRADE_MAX) + np.gradient(fall, at)
     knots = np.linspace(0.0, chainage[-1], max(round(chainage[-1] / _GRADE_KNOT_M), 2) + 1)
-    return Profile.through(knots, np.arctan(np.interp(knots, at, grade))), float(smooth[0])
+    return Profile.through(knots, np.arctan(np.interp(knots, at, grade))), float(
+        smooth[0] + fall[0]
+    )
 
 
 def _smoothed(values: Array, step_m: float) -> Array:

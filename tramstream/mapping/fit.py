@@ -285,10 +285,6 @@ def _left_out(curves: Curves, u: Array, found: _Learnt) -> LeftOut:
     )
 
 
-def _bending(x: Array) -> Array:
-    return curvature_per_m(x[:, :, 1], x[:, :, 2])
-
-
 # Sampling -----------------------------------------------------------------------------------------
 def _sampled(curves: Curves, steps: _Steps, sigma: float, left_out: LeftOut) -> Fit:
     """Evaluate curves at even arc lengths from the first own node to the last."""

@@ -249,7 +249,7 @@ class Dictionary(Kind):
     def read(self, value: Any, path: str) -> Any:
         if not isinstance(value, dict if self._by_text else list):
             raise _unfit(path, value, "not a dictionary")
-        pairs = value.items() if self._by_text else value
+        pairs = value.items() if isinstance(value, dict) else value
         return self._kind(
             {self._key.read(key, path): self._inner.read(each, path) for key, each in pairs}
         )

@@ -24,7 +24,6 @@ keeps its shape; one that does not is annotated as `Varying`
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 if TYPE_CHECKING:
@@ -81,9 +80,14 @@ def check(kind: type) -> None:
     _kind(kind)
 
 
-@cache
-def _kind(kind: type) -> Kind:
-    # Not before it is needed: routers and supervisors have no memory, and do without numpy's 15 MB.
-    from tramstream.memory.annotations import dataclass_kind
+_kinds: dict[type, Kind] = {}
 
-    return dataclass_kind(kind)
+
+def _kind(kind: type) -> Kind:
+    if kind not in _kinds:
+        # Not before it is needed: routers and supervisors have no memory, and do without numpy's
+        # 15 MB.
+        from tramstream.memory.annotations import dataclass_kind
+
+        _kinds[kind] = dataclass_kind(kind)
+    return _kinds[kind]

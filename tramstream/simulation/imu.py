@@ -29,12 +29,15 @@ REFERENCE_DEGC = 25.0
 """Where the temperature coefficients have no effect."""
 DRIFT_RATE_HZ = 10.0
 ORIGIN: Vector = (0.0, 0.0, 0.0)
+UPRIGHT: Vector = (0.0, 0.0, 1.0)
 
 
-def inertial(motion: Motion, gravity_mps2: float, p_va_v: Vector = ORIGIN) -> tuple[Array, Array]:
+def inertial(
+    motion: Motion, gravity_mps2: float, p_va_v: Vector = ORIGIN, up_l: ArrayLike = UPRIGHT
+) -> tuple[Array, Array]:
     """Give specific force and angular rate of a point fixed to the vehicle, resolved in `v`.
 
-    docs/theory.md, section 1.4: f = a_v + C_vl [0 0 g]ᵀ with a_v = (v̇, v ω_z, −v ω_y), which is the
+    docs/theory.md, section 1.4: f = a_v + g C_vl u with a_v = (v̇, v ω_z, −v ω_y), which is the
     acceleration of a point that moves along x only; away from the origin ω̇ × r + ω × (ω × r) more.
 
     Parameters
@@ -43,6 +46,8 @@ def inertial(motion: Motion, gravity_mps2: float, p_va_v: Vector = ORIGIN) -> tu
     gravity_mps2 : float
     p_va_v : array_like, shape (3,)
         The point, from the vehicle's origin, m.
+    up_l : array_like, shape (3,) or (n, 3)
+        u, the place's up in `l`.
 
     Returns
     -------
@@ -55,10 +60,13 @@ def inertial(motion: Motion, gravity_mps2: float, p_va_v: Vector = ORIGIN) -> tu
     rates = (motion.roll_rate_radps, motion.pitch_rate_radps, motion.yaw_rate_radps)
     omega_v = np.stack(body_rates(roll, pitch, rates), axis=-1)
     f_v = np.empty_like(omega_v)
-    upright = gravity_mps2 * np.cos(pitch)
-    f_v[:, 0] = motion.acceleration_mps2 - gravity_mps2 * np.sin(pitch)
-    f_v[:, 1] = motion.speed_mps * omega_v[:, 2] + upright * np.sin(roll)
-    f_v[:, 2] = -motion.speed_mps * omega_v[:, 1] + upright * np.cos(roll)
+    east, north, up = np.moveaxis(gravity_mps2 * np.asarray(up_l, dtype=float), -1, 0)
+    cos_y, sin_y = np.cos(motion.yaw_rad), np.sin(motion.yaw_rad)
+    along, across = cos_y * east + sin_y * north, cos_y * north - sin_y * east
+    upright = np.sin(pitch) * along + np.cos(pitch) * up
+    f_v[:, 0] = motion.acceleration_mps2 + np.cos(pitch) * along - np.sin(pitch) * up
+    f_v[:, 1] = motion.speed_mps * omega_v[:, 2] + np.cos(roll) * across + np.sin(roll) * upright
+    f_v[:, 2] = -motion.speed_mps * omega_v[:, 1] - np.sin(roll) * across + np.cos(roll) * upright
     if any(p_va_v):
         lever = np.array(p_va_v)
         f_v += np.cross(_angular_acceleration_v(motion), lever)

@@ -121,6 +121,25 @@ class Ride:
         """Position of the vehicle's origin in `l`, m; shape (n, 3) for n instants."""
         return self.line.position_l(self.motion(time_s).arc_length_m)
 
+    def attitude(self, motion: Motion) -> tuple[Array, Array, Array]:
+        """Roll, pitch and yaw against level and east of the place, as states are published, rad.
+
+        Those of a motion are against the level frame of the line (docs/theory.md, section 2.2).
+        """
+        level, p_l = self.line.level, self.line.position_l(motion.arc_length_m)
+        east, north, _ = np.moveaxis(level.up_l(p_l), -1, 0)
+        cos, sin = np.cos(motion.yaw_rad), np.sin(motion.yaw_rad)
+        yaw = motion.yaw_rad - convergence_rad(level, level.to_geodetic(p_l)[..., 1])
+        return (
+            motion.roll_rad + north * cos - east * sin,
+            motion.pitch_rad - east * cos - north * sin,
+            wrapped(yaw),
+        )
+
+    def up_l(self, motion: Motion) -> Array:
+        """Direction of the place's up in `l` where a motion is; shape (n, 3)."""
+        return self.line.level.up_l(self.line.position_l(motion.arc_length_m))
+
     def time_at_s(self, arc_length_m: float) -> float:
         """Give the first instant at which the ride has come so far; the end if it never does."""
         phases = self.phases
@@ -150,9 +169,9 @@ class Ride:
     def truths(self, time_s: Array, stamps_ns: list[int]) -> list[raw_pb2.TruthState]:
         """Give the truth at each instant of the ride as a message."""
         motion = self.motion(time_s)
-        latitude, longitude, height = self.line.level.to_geodetic(
-            self.line.position_l(motion.arc_length_m)
-        ).T
+        p_l = self.line.position_l(motion.arc_length_m)
+        latitude, longitude, height = self.line.level.to_geodetic(p_l).T
+        roll, pitch, yaw = self.attitude(motion)
         fields = {
             "stamp_ns": stamps_ns,
             "arc_length_m": motion.arc_length_m.tolist(),
@@ -161,13 +180,11 @@ class Ride:
             "latitude_deg": np.degrees(latitude).tolist(),
             "longitude_deg": np.degrees(longitude).tolist(),
             "height_ellipsoid_m": height.tolist(),
-            "yaw_rad": wrapped(
-                motion.yaw_rad - convergence_rad(self.line.level, longitude)
-            ).tolist(),
+            "yaw_rad": yaw.tolist(),
             "yaw_rate_radps": motion.yaw_rate_radps.tolist(),
             "standing": motion.standing.tolist(),
-            "roll_rad": motion.roll_rad.tolist(),
-            "pitch_rad": motion.pitch_rad.tolist(),
+            "roll_rad": roll.tolist(),
+            "pitch_rad": pitch.tolist(),
         }
         names = list(fields)
         return [

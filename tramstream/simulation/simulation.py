@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from tramstream import config, keys
 from tramstream.attitude import C_vl
 from tramstream.clock import S
-from tramstream.geodesy import normal_gravity_mps2
+from tramstream.geodesy import C_nl, normal_gravity_mps2
 from tramstream.lines.line import Line
 from tramstream.processor import Sample
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
@@ -141,7 +141,8 @@ class Simulation:
             if count == 0:
                 return
             time_s = time_s[: count * batch]
-            f_v, omega_v = inertial(self.ride.motion(time_s), gravity, lever)
+            motion = self.ride.motion(time_s)
+            f_v, omega_v = inertial(motion, gravity, lever, self.ride.up_l(motion))
             counts = sensor.measure(f_v @ C_bv.T, omega_v @ C_bv.T)
             gyro, accel = (
                 column.reshape(count, batch, 3).transpose(0, 2, 1).tolist()
@@ -184,12 +185,13 @@ class Simulation:
             fixes = receiver.measure(self.line.position_l(motion.arc_length_m), motion)
             p_l = fixes.p_l + self.happenings.gnss_offset_l(time_s)
             geodetic = self.line.level.to_geodetic(p_l)
+            velocity = np.einsum("nij,nj->ni", C_nl(self.line.level, geodetic), fixes.vel_l)
             lost = self.happenings.gnss_lost(time_s)
             stamps, published = clock.times(time_s)
             epochs = stamps_ns(time_s).tolist()
             for row, stamp in enumerate(stamps):
                 sequence += 1
-                message = writer.fix(geodetic[row], fixes.vel_l[row], epochs[row], bool(lost[row]))
+                message = writer.fix(geodetic[row], velocity[row], epochs[row], bool(lost[row]))
                 message.stamp_ns, message.sequence = stamp, sequence
                 yield Sample(keys.GNSS_FIX, message, stamp, sequence, published[row])
 

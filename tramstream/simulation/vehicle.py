@@ -128,15 +128,15 @@ class FixWriter:
         self._stds_m = (math.sqrt(2) * horizontal, vertical)
         self._last: Array | None = None
 
-    def fix(self, geodetic: Array, vel_l: Array, epoch_ns: int, lost: bool) -> GnssFix:
+    def fix(self, geodetic: Array, velocity: Array, epoch_ns: int, lost: bool) -> GnssFix:
         """Word one epoch; stamp and sequence are the caller's.
 
         Parameters
         ----------
         geodetic : ndarray, shape (3,)
             Latitude, longitude, ellipsoidal height; rad, rad, m.
-        vel_l : ndarray, shape (3,)
-            East, north, up; m/s.
+        velocity : ndarray, shape (3,)
+            East, north, up of the place; m/s.
         epoch_ns : int
             True instant, as Unix time.
         lost : bool
@@ -166,7 +166,7 @@ class FixWriter:
         message.satellites_used, message.pdop = SATELLITES, 1.3
         message.horizontal_std_m, message.vertical_std_m = self._stds_m
         if self._velocity:
-            east, north, up = vel_l.tolist()
+            east, north, up = velocity.tolist()
             speed = math.hypot(east, north)
             message.vel_n_mps, message.vel_e_mps, message.vel_d_mps = north, east, -up
             message.speed_mps, message.speed_std_mps = speed, self._speed_std_mps

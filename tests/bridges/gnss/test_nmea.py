@@ -70,6 +70,17 @@ def test_ellipsoidal_height_is_altitude_plus_separation() -> None:
     assert epoch.utc_ns == 1_484_006_981_000_000_000  # 2017-01-10T00:09:41Z
 
 
+def test_empty_course_is_no_course_to_the_north() -> None:
+    rmc, vtg, *others = second(41)
+    (fix,) = [
+        fix_of(epoch, MAX_ACCURACY_M)
+        for epoch in epochs_of(rmc.replace(",77.1,", ",,"), vtg, *others, *second(42))
+    ][:1]
+    assert fix.speed_mps > 0.0
+    assert fix.course_std_deg == 180.0
+    assert fix_of(epochs_of(*second(41), *second(42))[0], MAX_ACCURACY_M).course_std_deg == 0.0
+
+
 def test_epoch_is_complete_with_the_sentence_that_ended_the_one_before() -> None:
     stream = (*second(41), *second(42), *second(43))
     first, *others = epochs_of(*stream)

@@ -10,14 +10,18 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rides import judged, laid, ridden, run
 from scipy.stats import chi2
 from test_tram_faults import PLAN, city
 
 from tramstream.bridges.gnss.nmea import Epoch, fix_of
-from tramstream.estimation.fixes import deviations
+from tramstream.clock import S
+from tramstream.estimation.fixes import deviations, velocity_l
+from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.sync_pb2 import SyncFrame
 
 FLOOR_M = 0.005
 RUNS = 40
@@ -60,3 +64,67 @@ def test_first_position_is_as_uncertain_on_each_axis_as_the_fix_is_wrong(
     for found, degrees in ((plane, 2 * RUNS), (height, RUNS)):
         low, high = chi2.ppf([0.005, 0.995], degrees)
         assert low < found < high
+
+
+# Velocities have the axes of their place ----------------------------------------------------------
+FAR_M = 50_000.0
+"""East of the frame's origin, where the meridians have turned by 0.0094 rad."""
+
+
+def test_velocity_is_turned_into_the_level_frame() -> None:
+    """Truth: a velocity in `l`, turned into the axes of a place by geodesy."""
+    level = LocalLevel.at_deg(50.08, 14.42, 250.0)
+    geodetic = level.to_geodetic([FAR_M, -3000.0, 40.0])
+    in_l = np.array([11.0, 5.0, 0.0])
+    east, north, up = C_nl(level, geodetic) @ in_l
+    latitude_deg, longitude_deg = np.degrees(geodetic[:2])
+    fix = GnssFix(
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        vel_e_mps=east,
+        vel_n_mps=north,
+        vel_d_mps=-up,
+    )
+    found = velocity_l(fix, level)
+    assert found == pytest.approx(in_l[:2], abs=1e-3)
+    assert abs(east - in_l[0]) > 0.01  # what is at stake
+
+
+def test_speed_and_course_are_a_velocity_where_both_are_told() -> None:
+    """A receiver that speaks NMEA gives no components."""
+    level = LocalLevel.at_deg(50.08, 14.42, 250.0)
+    place = {"latitude_deg": 50.08, "longitude_deg": 14.42}
+    told = GnssFix(**place, speed_mps=10.0, course_deg=120.0)
+    east, north = 10.0 * math.sin(math.radians(120.0)), 10.0 * math.cos(math.radians(120.0))
+    assert velocity_l(told, level) == pytest.approx((east, north))
+    assert velocity_l(GnssFix(**place, speed_mps=0.0, course_deg=0.0), level) is None
+    nowhere = GnssFix(**place, speed_mps=0.3, course_deg=0.0, course_std_deg=180.0)
+    assert velocity_l(nowhere, level) is None
+    half = GnssFix(**place, vel_e_mps=3.0, speed_mps=10.0, course_deg=120.0)
+    assert velocity_l(half, level) is None
+
+
+def test_heading_does_not_depend_on_where_the_frame_was_laid() -> None:
+    """Truth: the same ride in a frame laid in its middle; the other frame lies far to the west."""
+    ride = ridden(laid(PLAN), city(gnss={"velocity": True}), 3, 150.0)
+    first = next(frame for frame in ride.frames if frame.gnss)
+    away = ride.simulation.line.level.to_geodetic([-FAR_M, 0.0, 0.0])
+    elsewhere = SyncFrame()
+    elsewhere.CopyFrom(first)
+    for fix in elsewhere.gnss:
+        fix.latitude_deg, fix.longitude_deg = np.degrees(away[:2])
+        fix.height_ellipsoid_m = away[2]
+    far = [elsewhere if frame is first else frame for frame in ride.frames]
+    vehicle = ride.simulation.vehicle
+    yaws = [yaw_of_place(TramLocaliser(vehicle), frames) for frames in (ride.frames, far)]
+    assert abs(np.mean(yaws[1] - yaws[0])) < 0.003  # the meridians have turned by 0.0094
+
+
+def yaw_of_place(localiser: TramLocaliser, frames: list[SyncFrame]) -> NDArray[np.float64]:
+    """Yaw against east of the place in the last 10 s."""
+    late = [each for each in run(localiser, frames) if each.stamp_ns > frames[-1].stamp_ns - 10 * S]
+    level = localiser.level
+    assert level is not None
+    longitude = level.to_geodetic(np.array([each.p_l for each in late]))[:, 1]
+    yaw: NDArray[np.float64] = np.array([each.motion[6] for each in late])
+    return yaw - convergence_rad(level, longitude)

@@ -11,10 +11,10 @@ from numpy.random import Generator
 
 from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
-from tramstream.estimation.localiser import VALUES
+from tramstream.estimation.localiser import HEADING_UNKNOWN, VALUES
 from tramstream.estimation.records import Records, numbers, one
 from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram_model import axes, motion, update
+from tramstream.processors.tram_model import axes, level_force, motion, update
 from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.lateral_force import LateralForce
@@ -72,6 +72,13 @@ def reading(rng: Generator) -> Array:
     return numbers(u)
 
 
+def gravity_at(x: Array) -> Array:
+    """Specific force of a vehicle that stands as `x` says, m/s²."""
+    roll, pitch = x[Ix.ROLL], x[Ix.PITCH]
+    cos = math.cos(pitch)
+    return GRAVITY * np.array([-math.sin(pitch), cos * math.sin(roll), cos * math.cos(roll)])
+
+
 def covariance(rng: Generator) -> Array:
     root = rng.normal(size=(SIZE, SIZE)) * SPREAD[:, None] * 0.1
     return np.asarray(root @ root.T)
@@ -124,6 +131,7 @@ def test_transition_is_the_derivative_of_the_motion(seed: int) -> None:
     x, u, c = state(rng), reading(rng), constants()
     c["imu_lever"] = 0.0  # how a lever's share follows the biases is left out
     x[Ix.PIVOT] = 0.0
+    u.view(READING)[0]["specific_force"] = gravity_at(x)  # as the mounting's entries have it
     F = transition(x, u, DT_S, c)
     for column in set(Ix) - {Ix.PIVOT}:
         step = np.zeros(SIZE)
@@ -132,6 +140,20 @@ def test_transition_is_the_derivative_of_the_motion(seed: int) -> None:
         scale = np.maximum(np.abs(F[:, column] - np.eye(SIZE)[column]) / DT_S, 1.0)
         wrong = np.abs(F[:, column] - slope) / DT_S > SECOND_ORDER * scale
         assert not wrong.any(), (column.name, [Ix(row).name for row in np.flatnonzero(wrong)])
+
+
+def test_motion_tells_no_more_of_the_mounting_than_a_standstill() -> None:
+    """Pitch, mounting and bias drive the speed by just the sum that shows when nothing moves.
+
+    Whatever is read: else its bias would tell the pitch from the mounting.
+    """
+    rng = np.random.default_rng(3)
+    x, u, c = state(rng), reading(rng), constants()
+    h = np.zeros(SIZE)
+    level_force.jacobian(x, c[0], h)
+    gained = transition(x, u, DT_S, c)[Ix.SPEED] / DT_S
+    columns = [Ix.PITCH, Ix.ACCEL_X, Ix.MOUNT_YAW, Ix.MOUNT_PITCH]
+    np.testing.assert_allclose(gained[columns], -h[columns], rtol=RELATIVE)
 
 
 def test_prediction_is_filterpys_dense_one() -> None:
@@ -245,17 +267,39 @@ def test_parameters_are_frozen() -> None:
 
 def test_heading_that_is_set_moves_the_position_from_the_antenna_to_the_pivot() -> None:
     ekf = tram_filter(np.zeros(SIZE), np.eye(SIZE))
-    ekf.lose_heading()
+    ekf.forget_heading()
     fix = GnssPosition(10.0, 20.0, 1.0, gate=INFINITE, knee=INFINITE)
     ekf.apply(fix)
     innovation = ekf.y[:, 0]
     np.testing.assert_allclose(innovation, (10.0, 20.0))  # no lever arm
     ekf = tram_filter(np.zeros(SIZE), np.eye(SIZE))
-    ekf.lose_heading()
-    ekf.know_heading(math.pi / 2, 0.1)
+    ekf.forget_heading()
+    ekf.set_heading(math.pi / 2, 0.1)
     np.testing.assert_allclose(ekf.x[[Ix.EAST, Ix.NORTH, Ix.UP], 0], (0.3, -2.0, -3.0), atol=1e-12)
     ekf.apply(fix)
     np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))  # the antenna is where it was
+
+
+def test_pivot_behind_the_origin_moves_nothing_while_the_heading_is_unknown() -> None:
+    """Truth: the antenna's place does not depend on where the vehicle pivots."""
+    x, P = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[Ix.PIVOT], P[Ix.PIVOT, Ix.PIVOT] = 3.2, 0.25
+    P[Ix.EAST, Ix.EAST] = P[Ix.NORTH, Ix.NORTH] = 4.0
+    ekf = tram_filter(x, P)
+    ekf.forget_heading()
+    fix = GnssPosition(10.0, 20.0, 1.0, gate=INFINITE, knee=INFINITE)
+    ekf.apply(fix)
+    np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0))
+    assert ekf.P[Ix.PIVOT, Ix.PIVOT] == 0.25
+    estimate = ekf.estimate(0, HEADING_UNKNOWN, False, [])
+    np.testing.assert_allclose(estimate.p_l[:2], ekf.x[:2, 0])
+    antenna = ekf.x[:2, 0].copy()
+    ekf.set_heading(math.pi / 2, 0.1)
+    np.testing.assert_allclose(antenna - ekf.x[:2, 0], (-0.3, 2.0 + 3.2))
+    # The pivot's place is as uncertain as how far it lies behind the antenna.
+    assert ekf.P[Ix.NORTH, Ix.PIVOT] == pytest.approx(-0.25)
+    ekf.apply(fix)
+    np.testing.assert_allclose(ekf.y[:, 0], (10.0, 20.0) - antenna)
 
 
 def test_scalar_update_is_the_dense_one() -> None:

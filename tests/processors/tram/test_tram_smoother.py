@@ -168,7 +168,7 @@ def travelled(seed: int, count: int = 60) -> Frozen:
         elif kind == 4:
             frozen.go(lambda: ekf.rest(STEP_S), eye)
         elif kind == 5:
-            frozen.go(lambda: ekf.begin_path(1, 1e-4), without(Ix.PATH_B))
+            frozen.go(lambda: ekf.restart_path(1, 1e-4), without(Ix.PATH_B))
         elif kind == 6:
             frozen.go(lambda: ekf.forget(fix_slots, (0.5, 0.7)), without(*fix_slots))
         else:

@@ -274,9 +274,7 @@ def phase(localiser: TramLocaliser) -> str:
         return "parked"
     if localiser._search is not None:
         return "trying" if localiser._search.trying else "keeping"
-    if localiser._aligned:
-        return "running"
-    return "resting" if localiser._navigation is not None else "waiting"
+    return localiser.phase.value
 
 
 def restarts(ride: Ride, frames: list[SyncFrame], wanted: Iterable[str]) -> None:

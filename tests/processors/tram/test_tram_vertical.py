@@ -121,7 +121,7 @@ def test_step_of_the_gyroscope_that_no_force_confirms_is_taken_back() -> None:
             unused = msgspec.structs.replace(vehicle.ekf, vertical_std_mps2_rthz=0.0)
             vehicle = msgspec.structs.replace(vehicle, ekf=unused)
         ekf = driving(vehicle)
-        ekf.drive_by(float(ekf.situation["accel_density"][0]), (1e-4**2, 0.03**2, 1e-4**2))
+        ekf.set_motion_noise(float(ekf.situation["accel_density"][0]), (1e-4**2, 0.03**2, 1e-4**2))
         for step in range(100):
             read(ekf, level_reading(pitch_rate=jolt / 0.1 if step < 10 else 0.0))
         left[used] = abs(ekf.state[Ix.PITCH])

@@ -81,9 +81,9 @@ def test_path_that_is_counted_anew_holds_what_the_counter_has_not_shown(sign: fl
     ekf.set_wheel_sign(1, sign)
     x = ekf.state
     x[Ix.SPEED], x[Ix.WHEEL_DELAY], x[Ix.SCALE_B] = 10.0, 0.01, 0.02
-    ekf.begin_path(1, 1e-6)
+    ekf.restart_path(1, 1e-6)
     assert ekf.state[Ix.PATH_B] == pytest.approx(sign * 0.102)
-    assert ekf.shown_path(1) == pytest.approx(0.0, abs=1e-12)
+    assert ekf.expected_path(1) == pytest.approx(0.0, abs=1e-12)
     assert ekf.P[Ix.PATH_B, Ix.PATH_B] == pytest.approx(1e-6 + (10.0**2 + 0.01**2) * 1e-4)
     (verdict,) = ekf.apply(WheelPath(1, 0.0, 1e-6))
     assert verdict.innovation == pytest.approx(0.0, abs=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 import zlib
+from functools import cache
 from pathlib import Path
 
 import lz4.frame
@@ -38,6 +39,7 @@ RECOVER = "recover(Path(sys.argv[1]), Path(sys.argv[1] + '.out'))"
 REPAIR = "repair(Path(sys.argv[1]))"
 
 
+@cache
 def zeros(size: int, compression: str, stated: bool = True) -> bytes:
     """Compressed zeros, a few kilobytes of them for gigabytes."""
     block = bytes(1 << 20)
