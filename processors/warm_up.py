@@ -29,6 +29,7 @@ from tramstream.machine import kernels, machine_code
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
@@ -40,6 +41,7 @@ from tramstream.simulation.simulation import Simulation
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import FORWARDS, Network
 
+PROCESSORS = (Resampler, DistanceFilter, LocalisationFilter, MapMatcher)
 RIDE_S = 50.0
 """Standing, departure, alignment, a curve."""
 MAPPED_M = 600.0
@@ -59,7 +61,7 @@ def _go_on_a_ride() -> None:
         path = Path(folder) / "one.tracks"
         _one_track(simulation.line).save(path)
         vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=str(path)))
-        graph = Graph([Resampler(vehicle), DistanceFilter(vehicle), LocalisationFilter(vehicle)])
+        graph = Graph([made(vehicle) for made in PROCESSORS])
     for sent in simulation.samples():
         graph.step(sent)
 

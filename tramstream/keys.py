@@ -179,12 +179,20 @@ EST_SMOOTHED = define(
     "est/ekf/smoothed", estimate_pb2.MotionState, 10, "state", "Offline: with the whole ride known"
 )
 
+EST_LATE = define(
+    "est/ekf/late", sync_pb2.LateSample, 0, "late sample", "Track geometry that came too late"
+)
+
 # map: where on the network ------------------------------------------------------------------------
 MAP_MATCH = define(
     "map/matcher/match", estimate_pb2.MapMatch, 100, "horizon", "Track, chainage, probability"
 )
 MAP_LOCATION = define(
     "map/matcher/location", LocationFix, 10, "horizon", "The place on the track for any viewer"
+)
+
+MAP_TRACK = define(
+    "map/matcher/track", estimate_pb2.TrackGeometry, 10, "matched state", "The track, for filters"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------

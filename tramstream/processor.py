@@ -67,7 +67,8 @@ class Processor(ABC):
     """
 
     name: ClassVar[str]
-    inputs: ClassVar[tuple[Key, ...]]
+    inputs: tuple[Key, ...]
+    """Of the class; where they hang on the settings, an instance has its own."""
     outputs: ClassVar[tuple[Key, ...]]
     Settings: ClassVar[type[msgspec.Struct] | None] = None
     """Its section of the configuration: `[<name>]`, checked strictly while loading; who calls
