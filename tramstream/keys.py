@@ -160,6 +160,9 @@ SYNC_TICK = define(
     "sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read"
 )
 SYNC_SNAPSHOT = define("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
+MEMORY = define(
+    "sync/*/memory", sync_pb2.Snapshot, 0, "publication", "What a process of its own began with"
+)
 
 # est: what filters say ------------------------------------------------------------------------
 EST_DISTANCE = define(
