@@ -11,7 +11,7 @@ what is made again has none, so it is known by its number.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -143,7 +143,7 @@ def find_lasts(record: Record, own: Mapping[str, list[Start]]) -> None:
     for entry in record.messages(lambda topic: keys.split(topic)[1] in own):
         path = keys.split(entry.topic)[1]
         known = own[path]
-        index = bisect_left([each.publish_ns for each in known], entry.publish_ns) - 1
+        index = bisect_right([each.publish_ns for each in known], entry.publish_ns) - 1
         if index < 0:
             known.insert(0, Start(None, 0))
             index = 0
