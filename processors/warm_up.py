@@ -59,7 +59,7 @@ def _go_on_a_ride() -> None:
     simulation = Simulation(built_in_line(), scenario.load("city"), 1, RIDE_S)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.tracks"
-        _one_track(simulation.line).save(path)
+        one_track(simulation.line).save(path)
         vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=str(path)))
         graph = Graph([made(vehicle) for made in PROCESSORS])
     for sent in simulation.samples():
@@ -69,7 +69,7 @@ def _go_on_a_ride() -> None:
 def _match() -> None:
     """Look for the track and follow it, before the heading is known and after."""
     line = built_in_line()
-    network = _one_track(line)
+    network = one_track(line)
     matcher = Matcher(network, Map(network=""))
     frame = MapFrame(network, line.level)
     for k in range(40):
@@ -94,7 +94,7 @@ def _measure() -> None:
         ekf.apply(measurement)
 
 
-def _one_track(line: Line) -> Network:
+def one_track(line: Line) -> Network:
     """The begin of a line as a network, exact: building one from a map has kernels of its own."""
     count = int(MAPPED_M) + 1
     at = np.linspace(0.0, MAPPED_M, count)

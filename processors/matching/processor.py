@@ -36,7 +36,8 @@ LOCATION_S = 0.1
 """Viewers draw maps at 10 Hz."""
 FIX_GAP_S = 5.0
 """Receivers give a fix a second at least; after so many seconds nobody knows which way was gone."""
-LOG = keys.LOG.at(MATCHER)
+LOG = keys.LOG.at(keys.MAP_MATCH.source)
+"""Not the log of the node of its own that it may have, which is named as it is."""
 
 
 @dataclass

@@ -5,7 +5,7 @@ it later, at a delay that is the same wherever the matcher runs: it goes back fr
 what its predictions have moved it since (`Trail`). What updates have moved since stays in it, so
 the innovation is the one that the state of that instant has now.
 
-Equations: docs/theory.md, section 11.7.
+Equations: docs/theory.md, section 11.6.
 """
 
 from __future__ import annotations
