@@ -99,7 +99,7 @@ def test_killed_matcher_goes_on_and_the_ride_is_repeated(folder: Path, tmp_path:
 
 
 def recorded(path: Path) -> int:
-    """A record of nothing but what another localiser said; how many of its states have a heading."""
+    """Write what another localiser said, and nothing else; give how many states have a heading."""
     ride = ridden(laid(PLAN), reference(), 1, 40.0)
     graph = Graph([LocalisationFilter(ride.simulation.vehicle)])
     count = 0
