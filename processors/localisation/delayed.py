@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.processor import Ledger, Sample, State
+from tramstream.processor import Ledger, Sample
 from tramstream.proto.estimate_pb2 import TrackGeometry
 from tramstream.proto.sync_pb2 import LateSample
 
@@ -23,6 +23,17 @@ MOST = 1000
 """So many wait at a time; ours are twenty."""
 Late = Mapping[tuple[str, int], LateSample]
 _STAMP = attrgetter("stamp_ns")
+
+
+@dataclass
+class DelayedMemory:
+    """What is on its way."""
+
+    waiting: list[TrackGeometry] = field(default_factory=list)
+    """In the order of their stamps."""
+    frame_ns: int = 0
+    """Stamp of the last frame."""
+    ledger: Ledger = field(default_factory=lambda: Ledger("ekf", "track geometries"))
 
 
 class Delayed:
@@ -35,10 +46,8 @@ class Delayed:
     """
 
     def __init__(self, delay_s: float) -> None:
+        self.memory = DelayedMemory()
         self._delay_ns = int(delay_s * S)
-        self._waiting: list[TrackGeometry] = []
-        self._frame_ns = 0
-        self._ledger = Ledger("ekf", "track geometries")
         self._recorded: dict[tuple[int, int], LateSample] | None = None
 
     def repeat(self, late: Late | None) -> None:
@@ -50,53 +59,39 @@ class Delayed:
 
     def take(self, sample: Sample) -> LateSample | None:
         """Take a geometry; gives what names it if it is late."""
-        message, recorded = sample.message, self._recorded
-        self._ledger.received += 1
+        memory, recorded = self.memory, self._recorded
+        memory.ledger.received += 1
         if recorded is not None:
             known = recorded.get((sample.stamp_ns, sample.sequence))
             if known is not None:
-                self._ledger.dropped += 1
+                memory.ledger.dropped += 1
                 return known
-        elif sample.stamp_ns + self._delay_ns <= self._frame_ns or len(self._waiting) >= MOST:
-            self._ledger.dropped += 1
+        elif sample.stamp_ns + self._delay_ns <= memory.frame_ns or len(memory.waiting) >= MOST:
+            memory.ledger.dropped += 1
             return LateSample(
                 key=keys.MAP_TRACK.path,
                 source_sequence=sample.sequence,
                 source_publish_ns=sample.publish_ns,
-                horizon_ns=self._frame_ns,
+                horizon_ns=memory.frame_ns,
             )
-        insort(self._waiting, message, key=_STAMP)
+        insort(memory.waiting, sample.message, key=_STAMP)
         return None
 
     def due(self, frame_ns: int) -> list[TrackGeometry]:
         """Give those that are used at a frame, in the order of their stamps."""
-        self._frame_ns = frame_ns
-        waiting = self._waiting
+        memory = self.memory
+        memory.frame_ns, waiting = frame_ns, memory.waiting
         count, limit_ns = 0, frame_ns - self._delay_ns
         while count < len(waiting) and waiting[count].stamp_ns <= limit_ns:
             count += 1
         if not count:
             return []
-        due, self._waiting = waiting[:count], waiting[count:]
-        self._ledger.delivered += count
+        due = waiting[:count]
+        del waiting[:count]
+        memory.ledger.delivered += count
         return due
 
     @property
     def ledger(self) -> Ledger:
         """What became of all that came."""
-        return replace(self._ledger, pending=len(self._waiting))
-
-    def snapshot(self) -> State:
-        """Plain data that shares nothing with this."""
-        counts = self._ledger
-        return {
-            "waiting": [each.SerializeToString() for each in self._waiting],
-            "frame_ns": self._frame_ns,
-            "counts": [counts.received, counts.delivered, counts.dropped],
-        }
-
-    def restore(self, state: State) -> None:
-        """Go on from a snapshot."""
-        self._waiting = [TrackGeometry.FromString(data) for data in state["waiting"]]
-        self._frame_ns = state["frame_ns"]
-        self._ledger = Ledger(self._ledger.stage, self._ledger.unit, *state["counts"])
+        return replace(self.memory.ledger, pending=len(self.memory.waiting))

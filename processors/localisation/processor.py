@@ -27,7 +27,7 @@ from tramstream.estimation.published import Places, PlacesMemory
 from tramstream.estimation.track import CERTAIN, in_level
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import Ledger, Processor, Sample, State
-from tramstream.processors.localisation.delayed import Delayed, Late
+from tramstream.processors.localisation.delayed import Delayed, DelayedMemory, Late
 from tramstream.processors.localisation.models import localiser, traced
 from tramstream.processors.tram.smoother import smooth
 from tramstream.processors.tram.trace import Trace, Tracer
@@ -277,7 +277,7 @@ class LocalisationFilter(Processor):
             "localiser": self.localiser.snapshot(),
             "second": self._second,
             "said": dict(self._said),
-            "delayed": None if self._delayed is None else self._delayed.snapshot(),
+            "delayed": None if self._delayed is None else to_plain(self._delayed.memory),
             "unheard_m": self._unheard_m,
             "last": None if self._last is None else list(self._last),
             "now_count": self._now_count,
@@ -296,7 +296,7 @@ class LocalisationFilter(Processor):
         self._last = None if last is None else (int(last[0]), float(last[1]))
         self._unheard_m = state["unheard_m"]
         if self._delayed is not None and state["delayed"] is not None:
-            self._delayed.restore(state["delayed"])
+            assign(self._delayed.memory, from_plain(DelayedMemory, state["delayed"]))
         if state["places"] is not None and level is not None:
             self._places = Places(level)
             assign(self._places.memory, from_plain(PlacesMemory, state["places"]))

@@ -166,17 +166,16 @@ class MapMatcher(Processor):
             self.memory.source = self._source.snapshot()
         return super().snapshot()
 
-    def restore(self, state: State) -> None:
-        super().restore(state)
+    def restored(self) -> None:
         self._frame = None
-        settings = self._vehicle.map
+        settings, memory = self._vehicle.map, self.memory
         if self._matcher is None or settings is None:
             return
         self._matcher = self._fresh(settings)
         self._source = ReceiverFixes() if self._of_fixes else States()
-        if self.memory.matcher is not None:
-            self._matcher.restore(self.memory.matcher)
-            self._source.restore(self.memory.source)
+        if memory.matcher is not None:
+            self._matcher.restore(memory.matcher)
+            self._source.restore(memory.source)
 
 
 def _source(settings: Map) -> Key:

@@ -82,11 +82,11 @@ class Ground:
             level = self.level
             if level is not None:
                 meridian, across, cos, tan = self._radii
-                north = latitude - level.latitude_rad
-                east = math.remainder(longitude - level.longitude_rad, math.tau) * across * cos
-                east *= 1.0 - north * tan
-                north = north * meridian + 0.5 * east * east * tan / across
                 up = height_m - level.height_m
+                north = latitude - level.latitude_rad
+                east = math.remainder(longitude - level.longitude_rad, math.tau) * cos
+                east *= (across + up) * (1.0 - north * tan)
+                north = north * (meridian + up) + 0.5 * east * east * tan / across
                 if max(abs(east), abs(north), abs(up)) < LAID_M:
                     up -= 0.5 * (east * east / across + north * north / meridian)
                     return east, north, up, east * tan / across
