@@ -226,6 +226,7 @@ class Navigation:
         self.stood = standing
         verdicts, self.given = self.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
+        go_to = ekf.go_to if self._trail is None else self._go_on
         if gnss or odometry:
             measurements: list[Any] = [*gnss, *odometry]
             if len(measurements) > 1:
@@ -236,12 +237,12 @@ class Navigation:
                     self.complaints.append(ASTRAY)
                     continue
                 if stamp_ns < frame_ns:
-                    self._go_to(stamp_ns, standing)
+                    go_to(stamp_ns, self.between, standing)
                 elif ekf.stamp_ns < frame_ns:
-                    self._go_to(frame_ns, standing)
+                    go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
         if ekf.stamp_ns < frame_ns:
-            self._go_to(frame_ns, standing)
+            go_to(frame_ns, self.between, standing)
         if self._trail is not None:
             self._trail.pass_by(frame_ns)
         if noise is None:
@@ -255,12 +256,11 @@ class Navigation:
             self._watcher.stepped(self, standing)
         return verdicts
 
-    def _go_to(self, stamp_ns: int, standing: bool) -> None:
-        if self._trail is None:
-            self.ekf.go_to(stamp_ns, self.between, standing)
-            return
+    def _go_on(self, stamp_ns: int, u: Array, standing: bool) -> None:
+        """Go to an instant as the filter does, and leave a trail."""
+        assert self._trail is not None
         before = self._pose()
-        self.ekf.go_to(stamp_ns, self.between, standing)
+        self.ekf.go_to(stamp_ns, u, standing)
         self._trail.carry(before, self._pose())
 
     def _pose(self) -> Pose:
