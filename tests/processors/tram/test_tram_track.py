@@ -27,7 +27,7 @@ from tramstream.graph import Graph
 from tramstream.lines.line import Line
 from tramstream.live import snapshots
 from tramstream.processor import Sample
-from tramstream.processors.localisation.processor import LOG, LocalisationFilter
+from tramstream.processors.localisation.processor import LOG, UNMATCHED, LocalisationFilter
 from tramstream.processors.matching import processor as matching
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.tram.navigation import Navigation
@@ -565,6 +565,16 @@ def test_map_that_cannot_be_read_is_said_once_and_changes_nothing(how: str, tmp_
     assert str(path) in about[0]
     assert "without the map" in about[0]
     assert "\n" not in about[0]
+
+
+def test_map_that_nobody_matches_with_is_said_once_and_changes_nothing() -> None:
+    ride = short(1)
+    chosen = Map(network="any.tracks")
+    vehicle = altered(ride.simulation.vehicle, map=chosen, processors=("resampler", "ekf"))
+    said = step(alone(vehicle), ride.frames[:1500])
+    plain = step(alone(ride.simulation.vehicle), ride.frames[:1500])
+    assert_same_states(said, plain)
+    assert [each for each in said.sentences if each not in plain.sentences] == [UNMATCHED]
 
 
 def test_map_of_another_place_is_said_once_and_changes_nothing(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +25,8 @@ from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LOG, UNHEARD
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.file.writer import RecordFile
-from tramstream.recorder.reprocess.run import Rerun, rerun
+from tramstream.recorder.reader import open_record
+from tramstream.recorder.reprocess.run import Rerun, rerun, vehicle_of
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.transport.bus import Envelope, LocalBus, Subscription
 
@@ -276,6 +278,23 @@ def test_matcher_that_stays_dead_leaves_the_filter_running_without_a_map_and_sai
     last = ride.ear.heard(keys.EST_STATE)[-1]
     assert (last.stamp_ns - EPOCH_NS) / S > RIDE_S - 1.0
     assert "track_across" not in {each.measurement for each in last.innovations}
+
+
+@pytest.mark.parametrize(("fields", "runs"), [({}, True), ({"source": "est/ekf/state"}, False)])
+def test_record_of_a_version_whose_filter_held_the_matcher_gets_one_beside_it(
+    fields: dict[str, str], runs: bool, tmp_path: Path
+) -> None:
+    """Now it is the configuration that says whether a matcher runs."""
+    old = {
+        "vehicle": VEHICLE,
+        "processors": ["resampler", "ekf"],
+        "map": {"network": "n", **fields},
+    }
+    path = tmp_path / "old.mcap"
+    with RecordFile(path, VEHICLE, {config_file.RECORD_ENTRY: json.dumps(old)}):
+        pass
+    with open_record(path) as record:
+        assert (MATCHER in vehicle_of(record, path).running) == runs
 
 
 @pytest.mark.parametrize("cores", [1, 2])
