@@ -25,6 +25,7 @@ from tramstream.config import MATCHER, Ekf, Vehicle, takes_track
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.estimation.published import Places, PlacesMemory
 from tramstream.estimation.track import CERTAIN, in_level
+from tramstream.keys import Key
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors.localisation.delayed import Delayed, DelayedMemory, Late
@@ -61,7 +62,7 @@ class LocalisationFilter(Processor):
     name = "ekf"
     offline = (keys.EST_SMOOTHED,)
     Settings = Ekf
-    inputs = (keys.SYNC_FRAME,)
+    inputs: tuple[Key, ...] = (keys.SYNC_FRAME,)
     outputs = (
         keys.EST_STATE,
         keys.EST_NOW,

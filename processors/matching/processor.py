@@ -66,7 +66,7 @@ class MapMatcher(Processor):
     """
 
     name = MATCHER
-    inputs = (keys.EST_STATE,)
+    inputs: tuple[Key, ...] = (keys.EST_STATE,)
     outputs = (keys.MAP_MATCH, keys.MAP_LOCATION, keys.MAP_TRACK, LOG)
     Memory = MatcherMemory
     memory: MatcherMemory

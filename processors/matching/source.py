@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tramstream import geodesy
 from tramstream.clock import S
@@ -20,7 +21,6 @@ from tramstream.estimation.localiser import (
     COVARIANCE,
     HEADING_UNKNOWN,
     TRACKING,
-    VALUES,
     Estimate,
     values_of,
 )
@@ -49,15 +49,15 @@ KEPT_S = 5.0
 """The last course is the heading for so long."""
 
 
-def _triangle() -> Any:
-    """Which number of the upper triangle each place of a covariance, row by row, is."""
-    places = np.zeros((7, 7), dtype=np.int64)
+def _places() -> NDArray[np.int64]:
+    """Which of the motion's numbers, and of the triangle's behind them, each value is."""
+    covariance = np.zeros((7, 7), dtype=np.int64)
     rows, columns = np.triu_indices(7)
-    places[rows, columns] = places[columns, rows] = np.arange(UPPER)
-    return places.ravel()
+    covariance[rows, columns] = covariance[columns, rows] = COVARIANCE + np.arange(UPPER)
+    return np.concatenate([np.arange(COVARIANCE), covariance.ravel()])
 
 
-_PLACES = _triangle()
+_PLACES = _places()
 
 
 class Ground:
@@ -146,18 +146,17 @@ class States(Source):
         if not math.isfinite(sum(place) + speed + yaw) or abs(place[0]) > 90.0:
             return None
         east, north, up, lean = self.ground.put(*place)
-        values = np.empty(VALUES)
-        values[:COVARIANCE] = (
+        numbers = [
             *(east, north, up, speed, message.roll_rad, message.pitch_rad, yaw + lean),
             message.acceleration_mps2,
             message.yaw_rate_radps,
-        )
-        if len(message.covariance) == UPPER:
-            values[COVARIANCE:] = np.array(message.covariance)[_PLACES]
-        else:
-            values[COVARIANCE:] = _covariance(message).ravel()
-        if not math.isfinite(float(values.sum())):
+        ]
+        numbers += message.covariance
+        if len(numbers) != COVARIANCE + UPPER:
+            numbers[COVARIANCE:] = _covariance(message)[np.triu_indices(7)].tolist()
+        if not math.isfinite(sum(numbers)):
             return None
+        values = np.array(numbers).take(_PLACES)
         self._notice(message, speed)
         return Estimate(message.stamp_ns, int(message.mode), values, message.standing)
 

@@ -259,9 +259,13 @@ class Navigation:
     def _go_on(self, stamp_ns: int, u: Array, standing: bool) -> None:
         """Go to an instant as the filter does, and leave a trail."""
         assert self._trail is not None
-        before = self._pose()
+        carried, x = self._trail.carried, self.ekf.state
+        east, north, yaw, pitch = x[_EAST], x[_NORTH], x[_YAW], x[_PITCH]
         self.ekf.go_to(stamp_ns, u, standing)
-        self._trail.carry(before, self._pose())
+        carried[0] += x[_EAST] - east
+        carried[1] += x[_NORTH] - north
+        carried[2] += x[_YAW] - yaw
+        carried[3] += x[_PITCH] - pitch
 
     def _pose(self) -> Pose:
         x = self.ekf.state

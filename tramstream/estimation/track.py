@@ -144,22 +144,22 @@ class Trail:
 
     def __init__(self, span_s: float) -> None:
         self._span_ns = int((span_s + MARGIN_S) * S)
-        self._carried = (0.0, 0.0, 0.0, 0.0)
+        self.carried = [0.0, 0.0, 0.0, 0.0]
+        """East, north, yaw, pitch by which all predictions together have moved the filter."""
         self._rows: deque[tuple[int, Pose]] = deque()
 
     def carry(self, before: Pose, after: Pose) -> None:
         """Take note that a prediction has moved the filter."""
-        a, b, c, d = self._carried
-        p, q, r, s = before
-        e, n, y, t = after
-        self._carried = (a + (e - p), b + (n - q), c + (y - r), d + (t - s))
+        for k, (a, b) in enumerate(zip(before, after, strict=True)):
+            self.carried[k] += b - a
 
     def pass_by(self, stamp_ns: int) -> None:
         """Take note that the filter is at an instant now."""
         rows = self._rows
         while rows and rows[-1][0] >= stamp_ns:
             rows.pop()
-        rows.append((stamp_ns, self._carried))
+        east, north, yaw, pitch = self.carried
+        rows.append((stamp_ns, (east, north, yaw, pitch)))
         oldest_ns = stamp_ns - self._span_ns
         while rows[0][0] < oldest_ns:
             rows.popleft()
@@ -180,18 +180,18 @@ class Trail:
             carried = _sum(before, carried, share)
         e, n, yaw, pitch = (
             here - (total - then)
-            for here, total, then in zip(now, self._carried, carried, strict=True)
+            for here, total, then in zip(now, self.carried, carried, strict=True)
         )
         return e, n, yaw, pitch
 
     def snapshot(self) -> list[list[float]]:
         """The newest sums, then a row for each instant: its stamp and the sums of then."""
-        return [list(self._carried), *([stamp_ns, *carried] for stamp_ns, carried in self._rows)]
+        return [list(self.carried), *([stamp_ns, *carried] for stamp_ns, carried in self._rows)]
 
     def restore(self, state: Iterable[Iterable[float]]) -> None:
         """Go on from a snapshot."""
-        (a, b, c, d), *rows = state
-        self._carried = (a, b, c, d)
+        carried, *rows = state
+        self.carried[:] = carried
         self._rows = deque((int(stamp_ns), (e, n, y, p)) for stamp_ns, e, n, y, p in rows)
 
 
