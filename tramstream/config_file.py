@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from tramstream import plugins
-from tramstream.config import Bus, Recorder, Vehicle
+from tramstream.config import MATCHER, Bus, Recorder, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 from tramstream.strict_toml import convert, read_toml
@@ -60,7 +60,7 @@ SECTIONS = "sections"
 def _strangers() -> list[str]:
     """Names of sections that processors and bridges of other packages have."""
     known = {*plugins.names("processors"), *plugins.names("bridges")}
-    return sorted(known - set(Vehicle.__struct_fields__))
+    return sorted(known - {*Vehicle.__struct_fields__, MATCHER})
 
 
 def _check_names(vehicle: Vehicle, file: str) -> None:

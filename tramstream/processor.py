@@ -73,7 +73,8 @@ class Processor(ABC):
     """
 
     name: ClassVar[str]
-    inputs: ClassVar[tuple[Key, ...]]
+    inputs: tuple[Key, ...]
+    """Of the class; where they hang on the settings, an instance has its own."""
     outputs: ClassVar[tuple[Key, ...]]
     events: ClassVar[tuple[Kind, ...]] = ()
     """Kinds of events that it raises; `outputs` then have the keys for them as well."""

@@ -18,6 +18,7 @@ from tramstream.live import events as live
 from tramstream.processors.distance import events as distance
 from tramstream.processors.kaspar2023 import events as kaspar2023
 from tramstream.processors.localisation import events as ekf
+from tramstream.processors.matching import events as matching
 from tramstream.processors.tram import events as tram
 from tramstream.recorder import events as recorder
 from tramstream.recorder.file import events as record
@@ -29,6 +30,7 @@ TABLES: dict[ModuleType, str] = {
     fixes: "Fixes that no localiser uses",
     tram: "The filter `tram`",
     kaspar2023: "The filter `kaspar2023`",
+    matching: "Map matcher",
     distance: "Distance and speed",
     supervision: "Processes",
     recorder: "Recorder",

@@ -27,10 +27,11 @@ import numpy as np
 
 from tramstream.attitude import C_vl
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, takes_track
 from tramstream.errors import ConfigError
 from tramstream.estimation.fixes import antenna_l, deviations, unusable
-from tramstream.estimation.localiser import Array, Estimate, Learned, OnTrack, Verdict, values_of
+from tramstream.estimation.localiser import Array, Estimate, Learned, Verdict, values_of
+from tramstream.estimation.track import LocalTrack, Pose, Trail
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, from_plain, to_plain
@@ -40,24 +41,13 @@ from tramstream.processors.kaspar2023.events import HEADING_LOST
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter, warm_up
 from tramstream.processors.kaspar2023.model import SIZE, STEP_S, Ix
 from tramstream.processors.kaspar2023.predictor import Ahead, AheadMemory
-from tramstream.processors.kaspar2023.wheels import (
-    MESSAGE_S,
-    PairMemory,
-    Reading,
-    Refused,
-    WheelPair,
-)
+from tramstream.processors.kaspar2023.start import start_std
+from tramstream.processors.kaspar2023.wheels import PairMemory, Reading, Refused, WheelPair
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
-START_SPEED_STD_MPS = 0.1
-"""The vehicle stands at first; where it does not, the wheels soon say so."""
-START_PITCH_STD_RAD = 0.05
-"""Trams climb 7 to 8 % at most."""
-SCALE_STD = 0.01
-"""Of the inertial axes before anything is learned; 1 % bounds the ADIS16465's data sheet."""
 HEADING_DISTANCE_M = 5.0
 AGREEMENT = 0.5
 """Fixes and filter may differ by so much of what the filter has moved, to give a heading."""
@@ -68,6 +58,7 @@ MAX_GAP_S = 1.0
 """Longest inertial gap that is predicted over, with the last acceleration and rates."""
 POSITION = (Ix.EAST, Ix.NORTH, Ix.UP)
 GNSS = ("gnss_east", "gnss_north", "gnss_up")
+TRACK = ("track_across",)
 
 _MOTION = np.array([Ix.EAST, Ix.NORTH, Ix.UP, Ix.SPEED, Ix.ROLL, Ix.PITCH, Ix.YAW])
 _MOTION_IN_P = (_MOTION[:, None] * SIZE + _MOTION).ravel()
@@ -118,7 +109,7 @@ class Kaspar2023Localiser:
         gnss = vehicle.gnss
         self._p_va_v = np.array(gnss.lever_arm_m if gnss else (0.0, 0.0, 0.0), dtype=float)
         self._floor_m = gnss.error_floor_m if gnss else 0.0
-        self._start_std = _start_std(vehicle)
+        self._start_std = start_std(vehicle)
         Q = model.process_noise(imu.accel_walk_mps3_rthz, imu.gyro_walk_radps2_rthz)
         self._filter, self._ahead = Kaspar2023Filter(Q), Ahead(Q)
         self._wheels = WheelPair(vehicle)
@@ -130,6 +121,9 @@ class Kaspar2023Localiser:
         self._start_fix = np.zeros((3, 3))  # likewise, the last taken standing
         self._fix_ns = 0
         self._complaints: list[Event] = []
+        self._pivot_m = vehicle.ekf.pivot_m
+        self._trail = Trail(vehicle.ekf.track_delay_s) if takes_track(vehicle) else None
+        self._given: list[Verdict] = []  # on what was taken since the last frame
         warm_up(Q)
 
     @property
@@ -137,14 +131,14 @@ class Kaspar2023Localiser:
         return self._level
 
     def take(self, frame: SyncFrame) -> Estimate | None:
-        """See `estimation.localiser.Localiser`; frames without an inertial mean are left out."""
+        """See `Localiser`; frames without an inertial mean are left out."""
         if not frame.HasField("imu") or frame.stamp_ns <= self._stamp_ns:
             return None
         if self._level is None and not self._begin(frame.gnss):
             return None
-        self._advance((frame.stamp_ns - self._stamp_ns) / S)
-        self._stamp_ns = frame.stamp_ns
-        verdicts = self._take_inertial(frame.imu)
+        self._advance(frame.stamp_ns)
+        verdicts, self._given = self._given, []
+        verdicts += self._take_inertial(frame.imu)
         for odometry in frame.odometry:
             verdicts += self._take_wheels(odometry)
         for fix in frame.gnss:
@@ -152,22 +146,32 @@ class Kaspar2023Localiser:
                 verdicts += self._take_fix(fix)
         return self._estimate(self._filter, frame.stamp_ns, verdicts)
 
-    def constrain(self, on_track: OnTrack) -> None:
+    def _pose(self) -> Pose:
+        x = self._filter.x
+        east, north, yaw, pitch = x[[Ix.EAST, Ix.NORTH, Ix.YAW, Ix.PITCH], 0].tolist()
+        pivot = self._pivot_m
+        return east - pivot * math.cos(yaw), north - pivot * math.sin(yaw), yaw, pitch
+
+    def follow(self, track: LocalTrack) -> bool:
         """The work's map: the distance to the track, in normal form (errata of 3.35)."""
-        if not self._heading_known:
-            return
+        then = self._trail.at(track.stamp_ns, self._pose()) if self._trail is not None else None
+        told = track.told(*then[:3]) if then is not None and self._heading_known else None
+        if told is None:
+            return False
         H = np.zeros((1, SIZE))
-        H[0, Ix.EAST], H[0, Ix.NORTH] = on_track.normal_east, on_track.normal_north
-        across = np.array([[on_track.across_m]])
-        R = np.array([[on_track.across_variance]])
+        H[0, Ix.EAST], H[0, Ix.NORTH] = told.normal_east, told.normal_north
+        across = np.array([[told.across_m]])
+        R = np.array([[told.across_variance]])
         self._filter.update(np.zeros((1, 1)), lambda _: H, lambda _: across, R)
+        self._given += _verdicts(self._filter, TRACK)
+        return True
 
     def see(self, mean: ImuMean) -> None:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         self._ahead.append(mean.stamp_ns, self._reading(mean)[:, 0].tolist())
 
     def ahead(self) -> Estimate | None:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         newest_ns = self._ahead.newest_ns
         if self._level is None or newest_ns <= self._stamp_ns:
             return None
@@ -234,8 +238,10 @@ class Kaspar2023Localiser:
         self._heading_known = True
 
     # Steps ---------------------------------------------------------------------------------------
-    def _advance(self, dt_s: float) -> None:
+    def _advance(self, stamp_ns: int) -> None:
         """Predict in steps of about `STEP_S`; over too long a gap nothing is known."""
+        dt_s, self._stamp_ns = (stamp_ns - self._stamp_ns) / S, stamp_ns
+        before = self._pose()
         if dt_s > MAX_GAP_S:
             self._complaints.append(HEADING_LOST(silence_s=dt_s, limit_s=MAX_GAP_S))
             self._lose()
@@ -243,6 +249,9 @@ class Kaspar2023Localiser:
         steps = max(1, round(dt_s / STEP_S))
         for _ in range(steps):
             self._filter.predict(dt_s=dt_s / steps)
+        if self._trail is not None:
+            self._trail.carry(before, self._pose())
+            self._trail.pass_by(stamp_ns)
 
     def _reading(self, mean: ImuMean) -> Array:
         """(f_x, ω_v), shape (4, 1)."""
@@ -326,7 +335,7 @@ class Kaspar2023Localiser:
         )
 
     def learned(self) -> list[Learned]:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         x, P = self._filter.x, self._filter.P
         return [
             Learned(name, float(x[slot, 0]), math.sqrt(max(P[slot, slot], 0.0)), unit)
@@ -340,7 +349,7 @@ class Kaspar2023Localiser:
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         level = self._level
         return {
             "x": self._filter.x.copy(),
@@ -353,10 +362,12 @@ class Kaspar2023Localiser:
             "fix_ns": self._fix_ns,
             "wheels": to_plain(self._wheels.memory),
             "ahead": to_plain(self._ahead.memory),
+            "given": [tuple(each) for each in self._given],
+            "trail": None if self._trail is None else self._trail.snapshot(),
         }
 
     def restore(self, state: State) -> None:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         self._filter.x, self._filter.P = state["x"].copy(), state["P"].copy()
         self._level = None
         if state["origin"] is not None:
@@ -367,22 +378,9 @@ class Kaspar2023Localiser:
         assign(self._wheels.memory, from_plain(PairMemory, state["wheels"]))
         assign(self._ahead.memory, from_plain(AheadMemory, state["ahead"]))
         self._complaints = []
-
-
-def _start_std(vehicle: Vehicle) -> Array:
-    """Deviations of all states of a vehicle that stands, place and heading being arbitrary."""
-    imu, wheels = vehicle.imu, vehicle.wheels
-    assert imu is not None  # the localiser has looked
-    std = np.zeros(SIZE)
-    std[Ix.SPEED] = START_SPEED_STD_MPS
-    std[Ix.ACCELERATION] = model.LARGE_ACCELERATION_MPS2
-    std[Ix.PITCH] = START_PITCH_STD_RAD
-    std[Ix.RATE_X : Ix.RATE_Z + 1] = model.LARGE_RATE_RADPS
-    std[Ix.ACCEL_SCALE : Ix.GYRO_SCALE_Z + 1] = SCALE_STD
-    std[Ix.ACCEL_WALK] = imu.accel_bias_std_mps2
-    std[Ix.GYRO_WALK_X : Ix.GYRO_WALK_Z + 1] = imu.gyro_bias_std_radps
-    std[Ix.WHEEL_LEFT] = std[Ix.WHEEL_RIGHT] = wheels.scale_std * MESSAGE_S / wheels.m_per_pulse
-    return std
+        self._given = [Verdict(*each) for each in state["given"]]
+        if self._trail is not None and state["trail"] is not None:
+            self._trail.restore(state["trail"])
 
 
 def _verdicts(kalman: Kaspar2023Filter, names: Sequence[str]) -> list[Verdict]:

@@ -1,4 +1,4 @@
-"""What the localisation filter as a processor has to say of its state and its map."""
+"""What the localisation filter as a processor has to say of its state and of the track."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ NO_NUMBER = define(
     cause="A bug in the filter, or an input that it should have refused.",
     severity=ERROR,
 )
-MAP_REFUSED = define(
-    "ekf.map_refused",
-    "$.map.network: {reason}; localisation goes on without the map",
-    cause="The track network cannot be read.",
-    cure="{advice}",
-    severity=ERROR,
-    reason=str,
-    advice=str,
+MAP_UNMATCHED = define(
+    "ekf.map_unmatched",
+    "there is a map and $.processors does not name map_matcher; localisation goes on without the "
+    "map",
+    cause="The configuration has a section [map], and its own list of processors.",
+    cure="add map_matcher to $.processors",
 )
-MAP_FAR = define(
-    "ekf.map_far",
-    "the vehicle is {distance_m} from the nearest track of the map ({source}), limit {limit_m}; "
-    "localisation goes on without",
-    cause="The map is another city's, or its extract ends before the line does.",
-    cure="build the network from an extract that holds the line ($.map.network)",
-    distance_m=float,
-    source=str,
+TRACK_UNHEARD = define(
+    "ekf.track_unheard",
+    "nothing has been heard of the track for {way_m}, limit {limit_m}; localisation goes on "
+    "without the map",
+    cause="The map matcher does not run, or the vehicle has left the map.",
+    cure="look at what map_matcher says",
+    way_m=float,
     limit_m=float,
 )

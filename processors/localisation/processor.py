@@ -5,8 +5,9 @@ carried on to the newest inertial mean, a few milliseconds old, for whoever cann
 does the work is `ekf.model`; this module owns messages, numbering, protection levels and what is
 said in health.
 
-With a map, each state is matched to a track in the same step, and the filter is put onto that track
-where no doubt is left: what comes back belongs to this very state, in every host.
+It knows no network. Where somebody says which track the vehicle is on (`map/matcher/track`), the
+filter is put onto it where no doubt is left, at a stated delay that is the same in every host
+(`delayed.py`).
 """
 
 from __future__ import annotations
@@ -19,28 +20,34 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.config import Ekf, Vehicle
+from tramstream.config import MATCHER, Ekf, Vehicle, takes_track
 from tramstream.estimation import events as fix_events
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.estimation.published import Places, PlacesMemory
+from tramstream.estimation.track import CERTAIN, in_level
 from tramstream.events import declared
+from tramstream.keys import Key
 from tramstream.memory.stage import assign, from_plain, to_plain
-from tramstream.processor import Processor, Sample, State
+from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors.kaspar2023 import events as kaspar2023_events
 from tramstream.processors.localisation import events as own_events
-from tramstream.processors.localisation.matching import Matched, location_of
+from tramstream.processors.localisation.delayed import Delayed, DelayedMemory, Late
+from tramstream.processors.localisation.events import MAP_UNMATCHED, TRACK_UNHEARD
 from tramstream.processors.localisation.models import localiser, traced
 from tramstream.processors.tram import events as tram_events
 from tramstream.processors.tram.smoother import smooth
 from tramstream.processors.tram.trace import Trace, Tracer
-from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
-from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter, TrackGeometry
+from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 
 LOCATION_EVERY = 10
 """Of the states for now: viewers draw maps at 10 Hz."""
 MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
+UNHEARD_M = 100.0
+"""Way after which it is said that nothing is heard of the track any more: longer than any doubt
+behind a switch."""
 _KNOWN = LocationFix.PositionCovarianceType.KNOWN
 
 
@@ -50,14 +57,13 @@ class LocalisationFilter(Processor):
     name = "ekf"
     offline = (keys.EST_SMOOTHED,)
     Settings = Ekf
-    inputs = (keys.SYNC_FRAME,)
+    inputs: tuple[Key, ...] = (keys.SYNC_FRAME,)
     outputs = (
         keys.EST_STATE,
         keys.EST_NOW,
         keys.EST_LOCATION,
         keys.EST_PARAMETERS,
-        keys.MAP_MATCH,
-        keys.MAP_LOCATION,
+        keys.EST_LATE,
     )
     events = declared(own_events, fix_events, tram_events, kaspar2023_events)
     pacing = (keys.SYNC_FRAME,)
@@ -71,14 +77,25 @@ class LocalisationFilter(Processor):
         self._quantile = MARGIN * NormalDist().inv_cdf(1.0 - risk / 4.0)
         self.localiser: Localiser = localiser(vehicle)
         self._places: Places | None = None
-        self._map = Matched(vehicle) if vehicle.map is not None else None
-        self._match_count = 0
+        self._delayed: Delayed | None = None
+        if takes_track(vehicle):
+            self.inputs = (keys.SYNC_FRAME, keys.MAP_TRACK)
+            self._delayed = Delayed(vehicle.ekf.track_delay_s)
+        self._late_recorded: Late | None = None
+        self._unheard_m: float | None = None  # way since the track was heard of; None: never
+        self._last: tuple[int, float] | None = None  # stamp and height of the last state
+        self._unmatched = vehicle.map is not None and MATCHER not in vehicle.processors
         self._second = 0
         self._now_count = 0
         self._now_ns = 0  # stamp of the last state for now
         self._tracer: Tracer | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
+        if sample.key.path != keys.SYNC_FRAME.path:
+            return self._hear(sample)
+        if self._delayed is not None:
+            for geometry in self._delayed.due(sample.stamp_ns):
+                self._follow(geometry)
         made = self._take(sample)
         made += self._now(sample.message)
         return made
@@ -110,8 +127,8 @@ class LocalisationFilter(Processor):
             message = self._message(estimate, self._here())
             if message is not None:
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
-                if self._map is not None:
-                    made += self._match(self._map, estimate)
+                if self._delayed is not None:
+                    made += self._miss(message)
             else:
                 made += self._start_again(sample.stamp_ns)
         second = sample.stamp_ns // S
@@ -123,25 +140,53 @@ class LocalisationFilter(Processor):
             made += self.raise_event(event, sample.stamp_ns)
         return made
 
-    def _match(self, with_map: Matched, estimate: Estimate) -> list[Sample]:
-        """Find the track, and put the filter onto it where there is no doubt left."""
-        level = self.localiser.level
-        assert level is not None  # there is an estimate
-        found = with_map.take(estimate, level)
-        made = []
-        if found is not None:
-            match, on_track = found
-            stamp_ns = estimate.stamp_ns
-            if on_track is not None:
-                self.localiser.constrain(on_track)
-            made.append(self.emit(keys.MAP_MATCH, match, stamp_ns))
-            if self._match_count % LOCATION_EVERY == 0 and match.state == MapMatch.ON_TRACK:
-                made.append(self.emit(keys.MAP_LOCATION, location_of(match), stamp_ns))
-            self._match_count += 1
-        for event in with_map.complaints:
-            made += self.raise_event(event, estimate.stamp_ns)
-        with_map.complaints.clear()
-        return made
+    # The track -----------------------------------------------------------------------------------
+    def _hear(self, sample: Sample) -> list[Sample]:
+        """Let geometry wait for its frame, or name it if that has gone by."""
+        late = self._delayed.take(sample) if self._delayed is not None else None
+        if late is None:
+            return []
+        named = LateSample()
+        named.CopyFrom(late)
+        if self._late_recorded is not None:  # with the number that it had live
+            self._next_sequence[keys.EST_LATE.path] = late.sequence
+        return [self.emit(keys.EST_LATE, named, sample.stamp_ns)]
+
+    def _follow(self, geometry: TrackGeometry) -> None:
+        """Put the filter onto the track, where there is no doubt left."""
+        level, last = self.localiser.level, self._last
+        self._unheard_m = 0.0
+        if geometry.probability >= CERTAIN and level is not None and last is not None:
+            track = in_level(geometry, level, last[1])
+            if track is not None:
+                self.localiser.follow(track)
+
+    def _miss(self, state: MotionState) -> list[Sample]:
+        """Notice that nothing is heard of the track any more, or never will be."""
+        stamp_ns, last = state.stamp_ns, self._last
+        self._last = stamp_ns, state.height_ellipsoid_m
+        if last is None:
+            return self.raise_event(MAP_UNMATCHED(), stamp_ns) if self._unmatched else []
+        if self._unheard_m is None or self._unheard_m > UNHEARD_M:
+            return []
+        self._unheard_m += abs(state.speed_mps) * (stamp_ns - last[0]) / S
+        if self._unheard_m <= UNHEARD_M:
+            return []
+        return self.raise_event(TRACK_UNHEARD(way_m=self._unheard_m, limit_m=UNHEARD_M), stamp_ns)
+
+    @property
+    def late_recorded(self) -> Late | None:
+        """See `tramstream.processor.Ordering`."""
+        return self._late_recorded
+
+    @late_recorded.setter
+    def late_recorded(self, late: Late | None) -> None:
+        self._late_recorded = late
+        if self._delayed is not None:
+            self._delayed.repeat(late)
+
+    def ledgers(self) -> list[Ledger]:
+        return [] if self._delayed is None else [self._delayed.ledger]
 
     def _start_again(self, stamp_ns: int) -> list[Sample]:
         """Nothing that is no number is ever published; the filter begins anew."""
@@ -220,8 +265,9 @@ class LocalisationFilter(Processor):
             "sequences": self.sequences(),
             "localiser": self.localiser.snapshot(),
             "second": self._second,
-            "map": None if self._map is None else self._map.snapshot(),
-            "match_count": self._match_count,
+            "delayed": None if self._delayed is None else to_plain(self._delayed.memory),
+            "unheard_m": self._unheard_m,
+            "last": None if self._last is None else list(self._last),
             "now_count": self._now_count,
             "now_ns": self._now_ns,
             "places": None if self._places is None else to_plain(self._places.memory),
@@ -234,9 +280,11 @@ class LocalisationFilter(Processor):
         self._now_count, self._now_ns = state["now_count"], state["now_ns"]
         self._places = None
         level = self.localiser.level
-        self._match_count = state["match_count"]
-        if self._map is not None and state["map"] is not None:
-            self._map.restore(state["map"], level)
+        last = state["last"]
+        self._last = None if last is None else (int(last[0]), float(last[1]))
+        self._unheard_m = state["unheard_m"]
+        if self._delayed is not None and state["delayed"] is not None:
+            assign(self._delayed.memory, from_plain(DelayedMemory, state["delayed"]))
         if state["places"] is not None and level is not None:
             self._places = Places(level)
             assign(self._places.memory, from_plain(PlacesMemory, state["places"]))

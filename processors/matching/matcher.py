@@ -15,7 +15,7 @@ import numpy as np
 
 from tramstream.clock import S
 from tramstream.config import Map
-from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate, OnTrack
+from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate
 from tramstream.processor import State
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching import step as steps
@@ -31,7 +31,7 @@ WRONG_WAY = 1e-4
 HEADS_RAD = math.radians(60.0)
 """No vehicle heads so far off its track, whatever its filter believes at first."""
 GAP_S = 1.0
-"""After a longer silence tracks are looked for anew: nobody knows which way was gone."""
+"""After a longer silence of a filter tracks are looked for anew: who knows which way was gone."""
 AGAIN_S = 1.0
 AGAIN_M = 10.0
 """Tracks are looked for again after so long without a heading, after so long a way off the map."""
@@ -52,6 +52,27 @@ class Candidate(NamedTuple):
     probability: float
 
 
+class Circle(NamedTuple):
+    """The track near the vehicle, in the plan; see the message `TrackGeometry`."""
+
+    run: int
+    """In the direction of the vehicle's x axis."""
+    chainage_m: float
+    probability: float
+    east: float
+    north: float
+    yaw_rad: float
+    curvature_per_m: float
+    across_variance: float
+    yaw_variance: float
+    curvature_variance: float
+    grade_rad: float
+    """NaN where the map does not know."""
+    grade_variance: float
+    ahead_m: float
+    behind_m: float
+
+
 class Match(NamedTuple):
     """What the matcher says at one instant."""
 
@@ -65,8 +86,8 @@ class Match(NamedTuple):
     north: float
     """Of the place on the track, in the plan, m."""
     others: tuple[Candidate, ...]
-    on_track: OnTrack | None
-    """For the filter, where no doubt is left."""
+    circle: Circle | None
+    """Once a metre, while the vehicle moves and its heading is known."""
     headed: bool
     """Whether the vehicle's heading is known: before, the direction of a run is a guess."""
 
@@ -84,8 +105,8 @@ class Matcher:
         The vehicle's origin before the point that follows the rails.
     lever_m : float
         How far the antenna is from the vehicle's origin, in plan.
-    corrects : bool
-        Whether `Match.on_track` goes back into the filter that the estimates are of.
+    gap_s : float
+        After a longer silence tracks are looked for anew.
     """
 
     def __init__(
@@ -95,13 +116,13 @@ class Matcher:
         forget_s: float = FORGET_S,
         pivot_m: float = 0.0,
         lever_m: float = 0.0,
-        corrects: bool = True,
+        gap_s: float = GAP_S,
     ) -> None:
         self.network = network
         self._rails = rails_of(network)
         self._names: dict[int, str] = {}
         self._search = Search(network)
-        self._corrects = corrects
+        self._gap_s = gap_s
         self.memory = np.zeros(kernels.MEMORY)
         self.memory[kernels.SYNCED] = kernels.NONE
         self.memory[kernels.DIRECTION] = 1.0
@@ -138,6 +159,11 @@ class Matcher:
         """See `east`."""
         return float(self._motion[kernels.NORTH])
 
+    @property
+    def yaw_rad(self) -> float:
+        """See `east`."""
+        return float(self._motion[kernels.YAW])
+
     def away_m(self) -> float:
         """How far the last estimate is from the nearest track."""
         return self._search.away_m(self.east, self.north)
@@ -147,13 +173,16 @@ class Matcher:
         """How many there are."""
         return int(self.memory[kernels.COUNT])
 
-    def step(self, estimate: Estimate, frame: MapFrame) -> Match | None:
+    def step(self, estimate: Estimate, frame: MapFrame, held: bool = False) -> Match | None:
         """Take an estimate; None while nothing is known.
 
         Parameters
         ----------
         frame : MapFrame
             Between the estimate's frame `l` and the network's plan; moved along.
+        held : bool
+            Whether the filter that the estimate is of is held to `Match.circle`: then it knows by
+            itself what the map tells.
         """
         if estimate.mode == STARTING:
             return None
@@ -161,8 +190,8 @@ class Matcher:
         z = self._motion
         dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
         headed = estimate.mode != HEADING_UNKNOWN
-        gap = dt > GAP_S
-        z[kernels.STEP] = min(max(dt, 0.0), GAP_S)
+        gap = dt > self._gap_s
+        z[kernels.STEP] = min(max(dt, 0.0), self._gap_s)
         z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
         self._stamp_ns = estimate.stamp_ns
         steps.advance(
@@ -176,10 +205,8 @@ class Matcher:
         )
         if self._due(estimate, headed) or gap:
             self._look(headed)
-            steps.summary(
-                self.memory, self._rails, z, self._constants, frame.numbers, False, self._out
-            )
-        if not self._corrects:
+            steps.summary(self.memory, self._rails, z, self._constants, False, self._out)
+        if not held:
             self.memory[kernels.SYNCED] = kernels.NONE
         return self._match(headed)
 
@@ -241,7 +268,10 @@ class Matcher:
         others = tuple(self._other(out, k) for k in range(int(out[steps.OTHERS])))
         if best < 0.0 or off > LOST:
             return Match(-1, 0.0, 0.0, 0.0, off, 0.0, 0.0, others, None, headed)
-        on_track = OnTrack(*out[steps.CERTAINLY + 1 : steps.OUT]) if out[steps.CERTAINLY] else None
+        circle = None
+        if out[steps.TOLD]:
+            told = out[steps.TOLD + 1 : steps.OUT]
+            circle = Circle(int(told[0]), *told[1:])
         return Match(
             int(out[steps.EDGE]),
             out[steps.EDGE_CHAINAGE],
@@ -251,7 +281,7 @@ class Matcher:
             out[steps.MATCHED_EAST],
             out[steps.MATCHED_NORTH],
             others,
-            on_track,
+            circle,
             headed,
         )
 

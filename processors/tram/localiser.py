@@ -14,7 +14,8 @@ from dataclasses import replace
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import FAR_M, antenna_l, unusable
-from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
+from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, Verdict
+from tramstream.estimation.track import LocalTrack
 from tramstream.events import kinds
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
@@ -313,9 +314,9 @@ class TramLocaliser:
             estimate, antenna, (std_m, std_up_m), speed_mps, min(age_s, 2.0), self._lever_arm_m
         )
 
-    def constrain(self, on_track: OnTrack) -> None:
-        if self._navigation is not None and self.phase is Phase.RUNNING:
-            self._navigation.on_track(on_track)
+    def follow(self, track: LocalTrack) -> bool:
+        navigation, running = self._navigation, self.phase is Phase.RUNNING
+        return navigation is not None and running and navigation.follow(track)
 
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)

@@ -12,15 +12,15 @@ import numpy as np
 from tramstream import keys
 from tramstream.attitude import C_vl
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, takes_track
 from tramstream.estimation.fixes import deviations, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
     Learned,
-    OnTrack,
     Verdict,
 )
 from tramstream.estimation.records import numbers, one
+from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.processors.tram.coasting import MotionNoise
@@ -64,6 +64,7 @@ BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
 ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
+_EAST, _NORTH, _YAW, _PITCH = (int(each) for each in (Ix.EAST, Ix.NORTH, Ix.YAW, Ix.PITCH))
 
 
 class Watcher(Protocol):
@@ -124,6 +125,7 @@ class Navigation:
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
         self._rate_ns = 0
+        self._trail = Trail(vehicle.ekf.track_delay_s) if takes_track(vehicle) else None
         self.stood = False
         """Whether the vehicle stood in the last frame."""
         self._begin(vehicle)
@@ -226,6 +228,7 @@ class Navigation:
         self.stood = standing
         verdicts, self.given = self.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
+        go_to = ekf.go_to if self._trail is None else self._go_on
         if gnss or odometry:
             measurements: list[Any] = [*gnss, *odometry]
             if len(measurements) > 1:
@@ -236,12 +239,14 @@ class Navigation:
                     self.complaints.append(_astray(measurement, frame_ns))
                     continue
                 if stamp_ns < frame_ns:
-                    ekf.go_to(stamp_ns, self.between, standing)
+                    go_to(stamp_ns, self.between, standing)
                 elif ekf.stamp_ns < frame_ns:
-                    ekf.go_to(frame_ns, self.between, standing)
+                    go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
         if ekf.stamp_ns < frame_ns:
-            ekf.go_to(frame_ns, self.between, standing)
+            go_to(frame_ns, self.between, standing)
+        if self._trail is not None:
+            self._trail.pass_by(frame_ns)
         if noise is None:
             if standing:
                 ekf.zero_velocity()
@@ -252,6 +257,21 @@ class Navigation:
         if self._watcher is not None:
             self._watcher.stepped(self, standing)
         return verdicts
+
+    def _go_on(self, stamp_ns: int, u: Array, standing: bool) -> None:
+        """Go to an instant as the filter does, and leave a trail."""
+        assert self._trail is not None
+        carried, x = self._trail.carried, self.ekf.state
+        east, north, yaw, pitch = x[_EAST], x[_NORTH], x[_YAW], x[_PITCH]
+        self.ekf.go_to(stamp_ns, u, standing)
+        carried[0] += x[_EAST] - east
+        carried[1] += x[_NORTH] - north
+        carried[2] += x[_YAW] - yaw
+        carried[3] += x[_PITCH] - pitch
+
+    def _pose(self) -> Pose:
+        x = self.ekf.state
+        return x[_EAST], x[_NORTH], x[_YAW], x[_PITCH]
 
     def _constrain(self) -> list[Verdict]:
         """Take that the vehicle slips sideways no more than it flies."""
@@ -293,6 +313,17 @@ class Navigation:
         return verdicts
 
     # Changes of the situation --------------------------------------------------------------------
+    def follow(self, track: LocalTrack) -> bool:
+        """Take what a map tells of a moment ago; False if that cannot be used."""
+        now = self._pose()
+        then = self._trail.at(track.stamp_ns, now) if self._trail is not None else None
+        told = track.told(*then[:3]) if then is not None else None
+        if then is None or told is None:
+            return False
+        # What the pitch has turned by since is the grade of another place.
+        self.on_track(told._replace(grade_rad=told.grade_rad + then[3] - now[3]))
+        return True
+
     def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
         """Take that the vehicle is on a track, of which the state as it is is off."""
         ekf, told = self.ekf, on_track
@@ -348,6 +379,7 @@ class Navigation:
             "wheels": self.wheels.snapshot(),
             "fixes": self.fixes.snapshot(),
             "given": [tuple(each) for each in self.given],
+            "trail": None if self._trail is None else self._trail.snapshot(),
         }
         if self._watcher is not None:
             state["watched"] = self._watcher.mark(self)
@@ -362,6 +394,8 @@ class Navigation:
         self.wheels.restore(state["wheels"])
         self.fixes.restore(state["fixes"])
         self.given = [Verdict(*each) for each in state["given"]]
+        if self._trail is not None and state["trail"] is not None:
+            self._trail.restore(state["trail"])
         if self._watcher is not None:
             self._watcher.restored(self, state.get("watched", 0))
 

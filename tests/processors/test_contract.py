@@ -9,14 +9,18 @@ from pathlib import Path
 
 import pytest
 from installed import COMFORT, install, put_on_path
+from msgspec.structs import replace
 
 from tramstream import keys
+from tramstream.config import Map
 from tramstream.graph import Graph
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Processor, Sample
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.warm_up import one_track
 from tramstream.recorder.reprocess.contract import ProcessorContract
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
@@ -60,6 +64,37 @@ class TestLocalisationFilter(Contract):
 
     def others(self) -> list[Processor]:
         return [DistanceFilter(ride().vehicle)]
+
+
+class TestMapMatcher(Contract):
+    """With the filter that it corrects: they feed each other."""
+
+    @pytest.fixture(autouse=True)
+    def _mapped(self, tmp_path: Path) -> None:
+        network = tmp_path / "line.tracks"
+        one_track(ride().line).save(network)
+        self.vehicle = replace(ride().vehicle, map=Map(network=str(network), std_m=0.1))
+
+    def make(self) -> list[Processor]:
+        made = (Resampler, LocalisationFilter, MapMatcher)
+        return [each(self.vehicle) for each in made]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(self.vehicle)]
+
+    def test_filter_takes_what_the_matcher_says(self) -> None:
+        graph = Graph(self.make())
+        said = [each for sample in sent() for each in graph.step(sample)]
+        assert not [each for each in said if each.key is keys.EST_LATE]
+        taken = [
+            each
+            for state in said
+            if state.key is keys.EST_STATE
+            for each in state.message.innovations
+            if each.measurement == "track_across"
+        ]
+        assert len(taken) > 10
+        assert all(each.accepted for each in taken)
 
 
 class TestForeignProcessor(Contract):

@@ -102,6 +102,9 @@ class ProcessorNode(Node):
         self._session = int.from_bytes(os.urandom(8), "little")
         self._memory = memory or Memory()
         self._last_snapshot_ns = self._recorded_snapshot_ns = 0
+        self._remembers = False  # whether it goes on from its predecessor's memory
+        self._began: Snapshot | None = None  # with what, until it has been said
+        self._taken: set[str] | None = None  # keys of which inputs were taken
 
     # Setting up ----------------------------------------------------------------------------------
     def expressions(self) -> list[str]:
@@ -120,6 +123,10 @@ class ProcessorNode(Node):
             self._take_snapshot(start=True)
             self.every(TICK_S, self.tick)
         elif self._memory.path is not None:
+            self._began, self._taken = self._remembered(start=True), set()
+            if not self._remembers:
+                for each in self._began.states:
+                    each.ClearField("state")
             self.every(SNAPSHOT_S, self._take_snapshot)
         if self.readers:
             self.every(RAW_S, self.publish_raw)
@@ -159,7 +166,7 @@ class ProcessorNode(Node):
             return
         same = state.configuration == self._memory.settings
         if same and snapshots.restore(state, self.processors):
-            self._tick_sequence = state.tick_sequence
+            self._tick_sequence, self._remembers = state.tick_sequence, True
             self.tell(MEMORY_TAKEN(node=self.name))
         else:
             self.tell(MEMORY_OF_OTHERS(path=path))
@@ -191,6 +198,8 @@ class ProcessorNode(Node):
         sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
         if self._ticks:
             self._note(sample, envelope.arrival_ns)
+        elif self._taken is not None and key.path not in self._taken:
+            self._tell_first(sample, self._taken)
         self.dispatch(sample)
 
     def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: Event) -> None:
@@ -245,9 +254,20 @@ class ProcessorNode(Node):
         if self.clock.now_ns() - self._last_snapshot_ns > SNAPSHOT_S * S:
             self._take_snapshot()
 
-    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
-        now_ns = self._last_snapshot_ns = self.clock.now_ns()
-        message = Snapshot(
+    def _tell_first(self, sample: Sample, taken: set[str]) -> None:
+        """Name the first input of a key before it is taken, and with what this process began."""
+        taken.add(sample.key.path)
+        message = self._began or Snapshot(session=self._session)
+        self._began = None
+        message.positions.add(
+            key=sample.key.path,
+            first_publish_ns=sample.publish_ns,
+            first_stamp_ns=sample.stamp_ns,
+        )
+        self.publish(keys.MEMORY.at(self.name), message)
+
+    def _remembered(self, start: bool = False) -> Snapshot:
+        return Snapshot(
             session=self._session,
             start=start,
             tick_sequence=self._tick_sequence,
@@ -255,6 +275,10 @@ class ProcessorNode(Node):
             states=snapshots.take(self.processors),
             configuration=self._memory.settings,
         )
+
+    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
+        now_ns = self._last_snapshot_ns = self.clock.now_ns()
+        message = self._remembered(start)
         due = start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S
         if self._ticks and due:
             self._recorded_snapshot_ns = now_ns
