@@ -233,9 +233,9 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """How the speed may change where no accelerometer tells."""
     tilt_std_rad_rts: Positive = 0.005
     """How roll and pitch may change where no gyroscope tells: a grade of 7 % within 200 s."""
-    track: Literal["with map", "always", "never"] = "with map"
-    """Whether the filter takes what map/matcher/track tells it of the track. With map: where this
-    file has a section [map]. Always: also where somebody else's matcher says it."""
+    track: Literal["with_map", "always", "never"] = "with_map"
+    """Whether the filter takes what map/matcher/track tells it of the track: "with_map" where this
+    file has a section [map], "always" also where somebody else's matcher says it."""
     track_delay_s: Annotated[float, Meta(ge=0.02, le=2.0)] = 0.2
     """Track geometry of an instant is used at the first step so long after it, wherever the matcher
     runs: more than the longest batch and the bus take. What comes later is counted and not used."""
@@ -336,7 +336,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
 def takes_track(vehicle: Vehicle) -> bool:
     """Whether the localisation filter takes what a map matcher tells it of the track."""
     track = vehicle.ekf.track
-    return track == "always" or (track == "with map" and vehicle.map is not None)
+    return track == "always" or (track == "with_map" and vehicle.map is not None)
 
 
 def default_runtime_dir() -> Path:
