@@ -119,9 +119,11 @@ class MapMatcher(Processor):
             frame = self._frame = MapFrame(matcher.network, level)
             frame.follow(0.0, 0.0, 0.0)
         match = matcher.step(estimate, frame, source.held)
-        return [] if match is None else self._said(matcher, match, frame, sample, estimate.standing)
+        return (
+            [] if match is None else self._found(matcher, match, frame, sample, estimate.standing)
+        )
 
-    def _said(
+    def _found(
         self, matcher: Matcher, match: Match, frame: MapFrame, sample: Sample, standing: bool
     ) -> list[Sample]:
         """Put what was found into messages."""
