@@ -36,6 +36,7 @@ from tramstream.processors.tram.modes import (
     drive_without_reading,
     published_mode,
 )
+from tramstream.processors.tram.start import first_deviations
 from tramstream.processors.tram.wheels import WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
@@ -50,14 +51,6 @@ from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
-ROLL_STD_RAD = 0.06
-"""Cant of 90 mm on 1435 mm, at the start."""
-PITCH_STD_RAD = 0.06
-"""Grade of 7 % with a margin, at the start."""
-GYRO_SCALE_STD = 0.003
-"""ADIS16465 data sheet: sensitivity tolerance."""
-START_STD_M = 1000.0
-"""Position before the first fix."""
 LEAVING_STD_MPS = 0.01
 """Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
@@ -132,28 +125,9 @@ class Navigation:
 
     def _begin(self, vehicle: Vehicle) -> None:
         """First values and deviations of all states but the position's."""
-        imu, wheels = vehicle.imu, vehicle.wheels
-        std = np.zeros(len(Ix))
-        std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M
-        std[Ix.ROLL], std[Ix.PITCH] = ROLL_STD_RAD, PITCH_STD_RAD
-        std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
-        if imu is not None:
-            std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
-            if vehicle.ekf.vertical_std_mps2_rthz:
-                std[Ix.ACCEL_Z] = imu.accel_bias_std_mps2
-            std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
-            std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
-        else:
-            std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
-        std[Ix.PIVOT] = vehicle.ekf.pivot_std_m
-        std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
-        std[Ix.WHEEL_DELAY] = wheels.delay_std_s
-        if vehicle.gnss is not None:
-            std[Ix.GNSS_DELAY] = math.hypot(
-                vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0
-            )
-        self.ekf.P = np.diag(std**2)
-        self.ekf.set_states(Ix.WHEEL_DELAY, (wheels.delay_s, vehicle.ekf.pivot_m))
+        self.ekf.P = np.diag(first_deviations(vehicle) ** 2)
+        delay_s, pivot_m = vehicle.wheels.delay_s, vehicle.ekf.pivot_m
+        self.ekf.set_states(Ix.WHEEL_DELAY, (delay_s, pivot_m))
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
