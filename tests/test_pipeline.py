@@ -23,6 +23,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.reader import open_record
 from tramstream.supervision import roster
+from tramstream.supervision.hearing import hears
 from tramstream.supervision.roster import Proc, Roster
 from tramstream.transport.bus import ZenohBus
 
@@ -142,6 +143,11 @@ def test_replay_gives_every_message_to_a_recorder_that_listens(ride: Any, folder
             stderr=subprocess.PIPE,
         )
         until(lambda: list((folder / "out").glob("*.active")) or recorder.poll(), "the recorder")
+        bus = ZenohBus.connect(folder / "run", VehicleClock.shared(folder / "run"))
+        try:  # its file is there before its subscriptions are
+            until(lambda: hears(bus, "copy", lambda _: True), "a recorder that hears")
+        finally:
+            bus.close()
         text = tramstream("replay", str(path), "--rate", "0", "--as", "copy", "--json",
                           "--onto-live", env=env)  # fmt: skip
         recorder.send_signal(signal.SIGINT)
