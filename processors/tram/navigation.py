@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, Protocol
 
@@ -21,10 +22,11 @@ from tramstream.estimation.localiser import (
 )
 from tramstream.estimation.records import numbers, one
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.processors.tram.coasting import MotionNoise
+from tramstream.memory.stage import assign, copied
+from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
 from tramstream.processors.tram.estimate import learned
-from tramstream.processors.tram.filter import GYRO_Z, TramFilter
-from tramstream.processors.tram.gnss import Fixes
+from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
+from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import (
     HELD_S,
     Drive,
@@ -33,7 +35,7 @@ from tramstream.processors.tram.modes import (
     drive_without_reading,
     published_mode,
 )
-from tramstream.processors.tram.wheels import WheelPair
+from tramstream.processors.tram.wheels import PairMemory, WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
@@ -89,6 +91,26 @@ class Watcher(Protocol):
         """Learn that there is another navigation from here on."""
 
 
+@dataclass
+class NavigationMemory:
+    """What a `Navigation` remembers."""
+
+    filter: FilterMemory
+    inertial: Array
+    """Numbers of `records.Inertial`."""
+    wheels: PairMemory = field(default_factory=PairMemory)
+    fixes: FixesMemory = field(default_factory=FixesMemory)
+    noise: NoiseMemory = field(default_factory=NoiseMemory)
+    read_ns: int = 0
+    rate_ns: int = 0
+    stood: bool = False
+    """Whether the vehicle stood in the last frame."""
+    given: list[Verdict] = field(default_factory=list)
+    """Verdicts on what was taken since the last frame."""
+    watched: int = 0
+    """By which number a watcher finds the place again, where there is one."""
+
+
 class Navigation:
     """Filter, wheels and fixes of a vehicle whose place is known."""
 
@@ -97,8 +119,6 @@ class Navigation:
         self._watcher = watcher
         gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         self.ekf = TramFilter(vehicle, gravity)
-        self.wheels = WheelPair(vehicle)
-        self.fixes = Fixes(vehicle)
         self.inertial = one(INERTIAL)
         """The inertial readings, see `records.Inertial`."""
         self.reading: Array = numbers(self.inertial["now"])
@@ -106,24 +126,21 @@ class Navigation:
         self.between: Array = numbers(self.inertial["between"])
         """What acts between the last two, as plain numbers."""
         self._inertial: Array = numbers(self.inertial)
+        self.memory = memory = NavigationMemory(self.ekf.remembered, self._inertial)
+        self.wheels = WheelPair(vehicle, memory.wheels)
+        self.fixes = Fixes(vehicle, memory.fixes)
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
         self.complaints: list[str] = []
-        self.given: list[Verdict] = []
-        """Verdicts on what was taken since the last frame."""
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._read_ns = 0
-        self._noise = MotionNoise(vehicle)
+        self._noise = MotionNoise(vehicle, memory.noise)
         self._has_imu = imu is not None
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
-        self._rate_ns = 0
-        self.stood = False
-        """Whether the vehicle stood in the last frame."""
         self._begin(vehicle)
 
     def _begin(self, vehicle: Vehicle) -> None:
@@ -158,7 +175,7 @@ class Navigation:
             return True
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
         turns = bool(rates) and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS
-        ages_ns = frame.stamp_ns - self._read_ns, frame.stamp_ns - self._rate_ns
+        ages_ns = frame.stamp_ns - self.memory.read_ns, frame.stamp_ns - self.memory.rate_ns
         drive = drive_without_reading(*ages_ns, turns)
         if drive is Drive.YAW_RATE:
             self._read_rate(rates[-1])
@@ -169,8 +186,9 @@ class Navigation:
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
+        memory = self.memory
         stamp_ns = mean.stamp_ns
-        dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
+        dt = (stamp_ns - memory.read_ns) / S if memory.read_ns else 0.0
         drive = Drive.INERTIAL
         if dt > HELD_S:
             drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
@@ -178,7 +196,7 @@ class Navigation:
         if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
             self.complaints.append("an inertial reading that cannot be was left out")
             return False
-        self._read_ns = stamp_ns
+        memory.read_ns = stamp_ns
         if drive is Drive.INERTIAL:
             self._noise.inertial(self.ekf, self._shaking)
         elif drive is Drive.BRIDGED:
@@ -197,15 +215,16 @@ class Navigation:
     def _read_rate(self, reading: Odometry) -> None:
         """Let the bus' own yaw rate stand for a gyroscope."""
         # The bias that the filter knows is not that of this sensor, where there is an IMU.
+        memory = self.memory
         bias = self.ekf.state[GYRO_Z] if self._has_imu else 0.0
         for held in ("now", "between"):
             self._hold(held)
             self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
         interval_s = None
-        if self._rate_ns:
-            interval_s = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
+        if memory.rate_ns:
+            interval_s = min(max((reading.stamp_ns - memory.rate_ns) / S, 0.01), 1.0)
         self._noise.yaw_rate(self.ekf, interval_s)
-        self._rate_ns = reading.stamp_ns
+        memory.rate_ns = reading.stamp_ns
 
     # One frame -----------------------------------------------------------------------------------
     def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:
@@ -218,11 +237,12 @@ class Navigation:
         noise : ndarray, shape (6,), or None
             Variance that rates and specific forces scatter by, if they are there.
         """
+        memory = self.memory
         ekf = self.ekf
-        if self.stood and not standing:
+        if memory.stood and not standing:
             ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
-        self.stood = standing
-        verdicts, self.given = self.given, []
+        memory.stood = standing
+        verdicts, memory.given = memory.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
         if gnss or odometry:
             measurements: list[Any] = [*gnss, *odometry]
@@ -290,14 +310,15 @@ class Navigation:
     # Changes of the situation --------------------------------------------------------------------
     def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
         """Take that the vehicle is on a track, of which the state as it is is off."""
+        memory = self.memory
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        self.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
-        self.given += ekf.apply(TrackHeading(*n, *heading, gate))
+        memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
-            self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
+            memory.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
 
     def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; see `TramFilter.set_heading`."""
@@ -332,33 +353,20 @@ class Navigation:
         return deviations(fix, self.fixes.floor_m)
 
     # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        state = {
-            "filter": self.ekf.snapshot(),
-            "inertial": self._inertial.copy(),
-            "read_ns": self._read_ns,
-            "rate_ns": self._rate_ns,
-            "noise": self._noise.snapshot(),
-            "stood": self.stood,
-            "wheels": self.wheels.snapshot(),
-            "fixes": self.fixes.snapshot(),
-            "given": [tuple(each) for each in self.given],
-        }
-        if self._watcher is not None:
-            state["watched"] = self._watcher.mark(self)
-        return state
+    def mark(self) -> None:
+        """Note in memory by which number a watcher finds this place again."""
+        self.memory.watched = 0 if self._watcher is None else self._watcher.mark(self)
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self.ekf.restore(state["filter"])
-        self._inertial[:] = state["inertial"]
-        self._read_ns, self._rate_ns = state["read_ns"], state["rate_ns"]
-        self.stood = state["stood"]
-        self._noise.restore(state["noise"])
-        self.wheels.restore(state["wheels"])
-        self.fixes.restore(state["fixes"])
-        self.given = [Verdict(*each) for each in state["given"]]
+    def kept(self) -> NavigationMemory:
+        """Give a copy of the memory, to go back to."""
+        self.mark()
+        return copied(self.memory)
+
+    def go_back(self, kept: NavigationMemory) -> None:
+        """Go on from a copy."""
+        assign(self.memory, kept)
         if self._watcher is not None:
-            self._watcher.restored(self, state.get("watched", 0))
+            self._watcher.restored(self, kept.watched)
 
 
 _stamp: Callable[[Any], int] = attrgetter("stamp_ns")

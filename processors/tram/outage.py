@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import dataclass, field
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
-from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -39,19 +39,27 @@ SAME_PLACE_SIGMA = 4.0
 """A fix no further away than this is of the same place: the track leads one way there."""
 
 
+@dataclass
+class SilenceMemory:
+    """What `Silence` remembers, by sentence."""
+
+    last_ns: dict[str, int] = field(default_factory=dict)
+    said_ns: dict[str, int] = field(default_factory=dict)
+    second: int = 0
+
+
 class Silence:
     """Notices what does not come; one sentence each, again and again while it lasts."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: SilenceMemory | None = None) -> None:
         expected = {_IMU: vehicle.imu, _WHEELS: vehicle.odometer, _FIXES: vehicle.gnss}
         self._expected = [sentence for sentence, section in expected.items() if section is not None]
-        self._last_ns: dict[str, int] = {}
-        self._said_ns: dict[str, int] = {}
-        self._second = 0
+        self.memory = SilenceMemory() if memory is None else memory
 
     def note(self, frame: SyncFrame) -> bool:
         """Take note of what a frame brings; whether it is time to look for what does not come."""
-        stamp_ns, last_ns = frame.stamp_ns, self._last_ns
+        memory = self.memory
+        stamp_ns, last_ns = frame.stamp_ns, memory.last_ns
         if frame.HasField("imu"):
             last_ns[_IMU] = stamp_ns
         if frame.odometry:
@@ -59,45 +67,39 @@ class Silence:
         for fix in frame.gnss:
             if fix.valid:
                 last_ns[_FIXES] = stamp_ns
-        second, self._second = self._second, stamp_ns // S
-        return second != self._second
+        second, memory.second = memory.second, stamp_ns // S
+        return second != memory.second
 
     def sentences(self, stamp_ns: int, slipping_s: float) -> list[str]:
         """Give what there is to say."""
         found = [
             sentence
             for sentence in self._expected
-            if stamp_ns - self._last_ns.setdefault(sentence, stamp_ns) > SILENT_S[sentence] * S
+            if stamp_ns - self.memory.last_ns.setdefault(sentence, stamp_ns)
+            > SILENT_S[sentence] * S
         ]
         if slipping_s > SLIPPING_S:
             found.append(SLIPPING)
         due = [each for each in found if self._due(each, stamp_ns)]
-        self._said_ns.update(dict.fromkeys(due, stamp_ns))
+        self.memory.said_ns.update(dict.fromkeys(due, stamp_ns))
         return due
 
     def _due(self, sentence: str, stamp_ns: int) -> bool:
-        said_ns = self._said_ns.get(sentence)
+        said_ns = self.memory.said_ns.get(sentence)
         return said_ns is None or stamp_ns - said_ns >= REPEAT_S * S
 
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "last_ns": dict(self._last_ns),
-            "said_ns": dict(self._said_ns),
-            "second": self._second,
-        }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self._last_ns, self._said_ns = dict(state["last_ns"]), dict(state["said_ns"])
-        self._second = state["second"]
-
-
+@dataclass
 class Parked:
-    """The navigation of a vehicle that stood when everything fell silent."""
+    """The navigation of a vehicle that stood when everything fell silent. It is its own memory."""
 
-    def __init__(self, navigation: Navigation) -> None:
-        self._navigation = navigation.snapshot()
-        self._stamp_ns = navigation.ekf.stamp_ns
-        self._counters = navigation.wheels.counters()
+    _navigation: NavigationMemory
+    _counters: dict[str, int]
+
+    @classmethod
+    def of(cls, navigation: Navigation) -> Parked:
+        """Keep a navigation as it is."""
+        return cls(navigation.kept(), navigation.wheels.counters())
 
     def moved(
         self,
@@ -121,7 +123,7 @@ class Parked:
         usable = [fix for fix in fixes if fix.valid and not unusable(fix, navigation.level)]
         if not usable or not standing:
             return None
-        x = self._navigation["filter"]["x"]
+        x = self._navigation.filter.x
         east, north, _ = antenna_l(usable[-1], navigation.level)
         away_m = math.hypot(east - float(x[Ix.EAST]), north - float(x[Ix.NORTH]))
         reach_m = SAME_PLACE_SIGMA * navigation.accuracy_m(usable[-1]) + SAME_PLACE_M
@@ -130,19 +132,8 @@ class Parked:
     def resume(self, navigation: Navigation, stamp_ns: int) -> None:
         """Let the vehicle have stood all the time until `stamp_ns`."""
         navigation.forget_heading()  # whatever it went through meanwhile has ended
-        navigation.restore(self._navigation)
+        navigation.go_back(self._navigation)
         navigation.announce_heading()
-        navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
+        navigation.ekf.rest((stamp_ns - self._navigation.filter.stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "navigation": self._navigation,
-            "stamp_ns": self._stamp_ns,
-            "counters": dict(self._counters),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._navigation, self._stamp_ns = state["navigation"], state["stamp_ns"]
-        self._counters = dict(state["counters"])
