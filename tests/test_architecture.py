@@ -361,9 +361,6 @@ def test_every_entry_point_names_a_module_of_ours() -> None:
 
 
 OWN_BYTES = {
-    "processors/resampling/resampler.py",
-    "processors/tram/localiser.py",
-    "processors/tram/heading.py",
     "recorder/reprocess/parallel.py",
     "recorder/reader.py",
     "tramstream/boundary.py",
