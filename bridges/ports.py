@@ -52,14 +52,14 @@ PTY_FOLDER = "/dev/pts/"
 
 _GONE = (OSError, termios.error)
 """What the kernel says about a device that is no longer there; closing one says it again."""
+_AWAY = ("there is no device behind this name", "plug it in or correct {field}")
+_FORBIDDEN = ("no permission", "add this user to the group dialout (usermod -aG dialout)")
+_BUSY = ("another program uses it", "stop that one (fuser shows which)")
 _CURES = {
-    errno.ENOENT: "there is no such device; plug it in or correct {field}",
-    errno.ENXIO: "there is no device behind this name; plug it in or correct {field}",
-    errno.ENODEV: "there is no device behind this name; plug it in or correct {field}",
-    errno.EACCES: "no permission; add this user to the group dialout (usermod -aG dialout)",
-    errno.EPERM: "no permission; add this user to the group dialout (usermod -aG dialout)",
-    errno.EBUSY: "another program uses it; stop that one (fuser shows which)",
-    errno.EAGAIN: "another program uses it; stop that one (fuser shows which)",
+    errno.ENOENT: ("there is no such device", "plug it in or correct {field}"),
+    **dict.fromkeys((errno.ENXIO, errno.ENODEV), _AWAY),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), _FORBIDDEN),
+    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), _BUSY),
 }
 
 
@@ -176,8 +176,8 @@ class CanPort(Port):
         except (*self._failures, ValueError, NotImplementedError, ImportError) as error:
             self.close()
             raise DeviceError(
-                f"{self.device}: cannot open CAN interface '{self._config.interface}' ({error}); "
-                "check $.odometer.interface, channel and bitrate"
+                f"{self.device}: cannot open CAN interface '{self._config.interface}' ({error})",
+                cure="check $.odometer.interface, channel and bitrate",
             ) from error
         self._dropped, self._failure, self._lines = 0, None, SlcanLines()
         self._heard_s = time.monotonic()
@@ -212,8 +212,8 @@ class CanPort(Port):
                 frames = self._read_any()
         except self._failures as error:
             raise DeviceError(
-                f"{self.device}: the CAN interface is lost ({error}); check its cable and power, "
-                "and whether it is up (ip link)"
+                f"{self.device}: the CAN interface is lost ({error})",
+                cure="check its cable and power, and whether it is up (ip link)",
             ) from error
         if not frames:
             self._check_silence()
@@ -322,7 +322,7 @@ class CanPort(Port):
             return
         self._heard_s = now_s
         if self._config.interface == "socketcan" and _interface_index(self._config) != self._index:
-            raise DeviceError(f"{self.device}: the interface was made anew; opening it again")
+            raise DeviceError(f"{self.device}: the interface was made anew, and is opened again")
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
@@ -335,7 +335,7 @@ def gnss_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
     """Port of the receiver, unopened."""
     gnss = vehicle.gnss
     if gnss is None:
-        raise ConfigError("$.gnss: missing; it names the receiver's serial line")
+        raise ConfigError("$.gnss: missing", cure="name the receiver's serial line")
     return SerialPort(keys.GNSS_BYTES, gnss.device, gnss.baud_rate, clock, GNSS_GATHER_S)
 
 
@@ -343,14 +343,14 @@ def imu_port(vehicle: Vehicle, clock: VehicleClock) -> SerialPort:
     """Port of the microcontroller in front of the IMU, unopened."""
     imu = vehicle.imu
     if imu is None:
-        raise ConfigError("$.imu: missing; it names the IMU's serial line")
+        raise ConfigError("$.imu: missing", cure="name the IMU's serial line")
     return SerialPort(keys.IMU_BYTES, imu.device, imu.baud_rate, clock, IMU_GATHER_S, fold)
 
 
 def odometer_port(vehicle: Vehicle, clock: VehicleClock) -> CanPort:
     """Port of the vehicle bus, unopened."""
     if vehicle.odometer is None:
-        raise ConfigError("$.odometer: missing; it names the CAN interface")
+        raise ConfigError("$.odometer: missing", cure="name the CAN interface")
     return CanPort(vehicle.odometer, clock)
 
 
@@ -359,8 +359,9 @@ def _open_line(path: str, baud_rate: int, field: str) -> Any:
         return serial.Serial(path, baud_rate, timeout=0, exclusive=True)
     except (OSError, ValueError) as error:  # SerialException is an OSError
         number = error.errno if isinstance(error, OSError) else None
-        cure = _CURES.get(number or 0, "it cannot be set up as a serial line ({error})")
-        raise DeviceError(f"{path}: " + cure.format(field=field, error=error)) from error
+        unknown = (f"it cannot be set up as a serial line ({error})", "")
+        reason, cure = _CURES.get(number or 0, unknown)
+        raise DeviceError(f"{path}: {reason}", cure=cure.format(field=field)) from error
 
 
 def _wait(descriptor: int, timeout_s: float) -> bool:
@@ -389,7 +390,7 @@ def _drain(descriptor: int, device: str) -> bytes:
         size += len(part)
     if not parts:  # ready, and yet nothing to read: the other end is gone
         raise DeviceError(
-            f"{device}: the device was unplugged or hung up; check its cable and power"
+            f"{device}: the device was unplugged or hung up", cure="check its cable and power"
         ) from failure
     return b"".join(parts)
 

@@ -77,7 +77,7 @@ def _findings(config: Path | None) -> Iterator[Finding]:
     yield from devices.check_serial()
     yield from devices.check_can_interfaces()
     if vehicle is not None and vehicle.map is not None:
-        yield machine.check_map(vehicle.map)
+        yield machine.check_map(vehicle.map, vehicle.processors)
     if vehicle is not None:
         yield from devices.check_vehicle(vehicle, alive)
 

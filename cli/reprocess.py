@@ -66,7 +66,7 @@ def reprocess(
         )
     if result.without_map:
         say(
-            f"$.map.network: {result.without_map}; localisation went on without the map "
+            f"{result.without_map}; localisation went on without the map "
             "(--config takes a configuration that names the file where it is now)"
         )
     if result.forgotten:

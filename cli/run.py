@@ -58,10 +58,9 @@ def run(
             )
         run_.until(stop, duration_s)
     if run_.lost or run_.unheard:
-        known = f"{run_.lost} messages are missing" if run_.lost else ""
-        unknown = f"{run_.unheard}: the last messages may be missing" if run_.unheard else ""
+        known = f"{run_.lost} messages are missing in the records of this run" if run_.lost else ""
+        unknown = str(run_.unheard or "")
         raise DamagedRecordError(
-            f"{'; '.join(filter(None, (known, unknown)))} in the records of this run in "
-            f"{vehicle.recorder.directory}; `tramstream info` says what is in them, "
-            "`tramstream report` which are missing"
+            f"{vehicle.recorder.directory}: {'; '.join(filter(None, (known, unknown)))}",
+            cure="`tramstream info` says what is in them, `tramstream report` which are missing",
         )

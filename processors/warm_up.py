@@ -29,6 +29,7 @@ from tramstream.machine import kernels, machine_code
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
@@ -40,6 +41,7 @@ from tramstream.simulation.simulation import Simulation
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import FORWARDS, Network
 
+PROCESSORS = (Resampler, DistanceFilter, LocalisationFilter, MapMatcher)
 RIDE_S = 50.0
 """Standing, departure, alignment, a curve."""
 MAPPED_M = 600.0
@@ -57,9 +59,9 @@ def _go_on_a_ride() -> None:
     simulation = Simulation(built_in_line(), scenario.load("city"), 1, RIDE_S)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.tracks"
-        _one_track(simulation.line).save(path)
+        one_track(simulation.line).save(path)
         vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=str(path)))
-        graph = Graph([Resampler(vehicle), DistanceFilter(vehicle), LocalisationFilter(vehicle)])
+        graph = Graph([made(vehicle) for made in PROCESSORS])
     for sent in simulation.samples():
         graph.step(sent)
 
@@ -67,7 +69,7 @@ def _go_on_a_ride() -> None:
 def _match() -> None:
     """Look for the track and follow it, before the heading is known and after."""
     line = built_in_line()
-    network = _one_track(line)
+    network = one_track(line)
     matcher = Matcher(network, Map(network=""))
     frame = MapFrame(network, line.level)
     for k in range(40):
@@ -92,7 +94,7 @@ def _measure() -> None:
         ekf.apply(measurement)
 
 
-def _one_track(line: Line) -> Network:
+def one_track(line: Line) -> Network:
     """The begin of a line as a network, exact: building one from a map has kernels of its own."""
     count = int(MAPPED_M) + 1
     at = np.linspace(0.0, MAPPED_M, count)

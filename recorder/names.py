@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tramstream.clock import S
+from tramstream.events.kinds import Event
+from tramstream.recorder.events import PART_RENAMED
 from tramstream.recorder.file.storage import DISK, MODE, Storage
 
 BOOT_FILE = ".boot"
@@ -119,10 +121,10 @@ class PartNames:
         wrong = abs(start_ns - _ns(name.start)) >= WORTH_CORRECTING_NS
         return self._path(name.number, start_ns) if wrong else path
 
-    def correct_finished(self, storage: Storage = DISK) -> list[str]:
+    def correct_finished(self, storage: Storage = DISK) -> list[Event]:
         """Correct the names of finished parts of this boot whose start cannot be.
 
-        Returns a sentence for each. Their stamps are those of the vehicle clock, which has not
+        Returns an event for each. Their stamps are those of the vehicle clock, which has not
         stepped since.
 
         Raises
@@ -130,10 +132,10 @@ class PartNames:
         OSError
             If the disk refuses; what is not done yet may be tried again.
         """
-        sentences: list[str] = []
+        events: list[Event] = []
         offset_ns = self.offset.ns
         if offset_ns is None:
-            return sentences
+            return events
         for path in sorted(self.directory.glob("*.mcap")):
             name = parse(path.name)
             ours = name is not None and (name.boot, name.vehicle) == (self.boot, self.vehicle)
@@ -144,10 +146,10 @@ class PartNames:
             if keep.exists():
                 storage.rename(keep, target.with_name(target.name + KEEP))
             storage.rename(path, target)
-            sentences.append(f"{path.name}: the time is known now, it is {target.name}")
-        if sentences:
+            events.append(PART_RENAMED(part=path.name, to=target.name))
+        if events:
             storage.sync_directory(self.directory)
-        return sentences
+        return events
 
     def _path(self, number: int, start_ns: int) -> Path:
         start = datetime.fromtimestamp(start_ns // S, UTC)

@@ -11,18 +11,26 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
-
 from tramstream import config_file, keys
 from tramstream.boundary import Undecodable, decode
 from tramstream.clock import GPS_EPOCH_UNIX_S, S, boot_id
 from tramstream.config import Recorder, Vehicle
+from tramstream.events.kinds import Event
 from tramstream.live.node import Node
 from tramstream.processor import Ledger
 from tramstream.proto.gnss_pb2 import GnssTime
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.resend_pb2 import ResendAnswer
 from tramstream.recorder.asker import Asker
+from tramstream.recorder.events import (
+    HAD_AGAIN,
+    KEY_OF_OTHERS,
+    NOT_DESCRIBED,
+    NOT_FINISHED,
+    SECOND_PUBLISHER,
+    STRANGE_ANSWER,
+    TOO_MANY_KEYS,
+)
 from tramstream.recorder.foreign import (
     PENDING,
     UNDESCRIBED,
@@ -32,7 +40,6 @@ from tramstream.recorder.foreign import (
 )
 from tramstream.recorder.gaps import GapBook
 from tramstream.recorder.leaving import Leaving, Seen
-from tramstream.recorder.mentions import Mentions
 from tramstream.recorder.previous import remember
 from tramstream.recorder.recording import Recording
 from tramstream.transport.bus import Bus, Envelope
@@ -41,7 +48,6 @@ from tramstream.transport.header import is_possible
 from tramstream.transport.sources import MOST_TOPICS, OTHERS
 
 NAME = "recorder"
-UNSAID_S = 10.0
 ASK_S = 0.05
 SWEEP_S = 5.0
 """How often everybody is asked for what no later message shows to be missing."""
@@ -96,7 +102,6 @@ class RecorderNode(Node):
         self._expression = expression
         self._time_topic = keys.GNSS_TIME.on(vehicle)
         self._kinds: dict[str, Kind | None] = {}
-        self._mentions = Mentions(self.log)
         self._types = ForeignTypes(bus, lambda answer: self.ring.put(NAME, answer))
         self._ledger = Ledger(NAME, "messages")
 
@@ -104,14 +109,13 @@ class RecorderNode(Node):
         return [self._expression]
 
     def begin(self) -> None:
-        for sentence in self.recording.start():
-            self.log(sentence, Log.INFO)
+        for event in self.recording.start():
+            self.tell(event)
         if self._goes_on:
             folder = Path(self._settings.directory)
             self._gaps.remember(remember(folder, self.vehicle, boot_id(), NAME))
         self.every(self._settings.flush_s, self.flush)
         self.every(ASK_S, self.ask)
-        self.every(UNSAID_S, self._mentions.tell_unsaid)
         self.bus.attend(keys.farewell(self.vehicle), self._farewell)
         if self._goes_on:
             self.sweep(all_of_it=True)  # before the first message: where the predecessor ended
@@ -123,7 +127,7 @@ class RecorderNode(Node):
             kind = self._kinds[topic]
         except KeyError:
             if len(self._kinds) >= MOST_TOPICS and self._is_made_up(envelope):
-                self._leave_out(f"{topic}: not recorded; {MOST_TOPICS} keys are, and this is more")
+                self._leave_out(TOO_MANY_KEYS(key=topic, limit=MOST_TOPICS))
                 return
             kind = self._find(envelope)
         log_ns = self._log_time(envelope)
@@ -159,11 +163,11 @@ class RecorderNode(Node):
         session = envelope.session
         return not session or not self.sources.is_announced(session, self.clock.now_ns())
 
-    def _leave_out(self, sentence: str) -> None:
-        """Count a message that is not recorded, and say so while there is room for sentences."""
+    def _leave_out(self, why: Event) -> None:
+        """Count a message that is not recorded, and say so."""
         self._ledger.received += 1
         self._ledger.dropped += 1
-        self._mentions.mention(sentence)
+        self.tell(why)
 
     def _learn_time(self, payload: bytes) -> None:
         """Take from a receiver what time it is: for the names of records only."""
@@ -190,8 +194,7 @@ class RecorderNode(Node):
     def sweep(self, all_of_it: bool = False) -> None:
         """Ask everybody; say what the questions before have brought."""
         if self._resent > self._told and not self._gaps.holes:
-            text = f"{self._resent - self._told} messages that did not come were had again"
-            self.log(text, Log.INFO)
+            self.tell(HAD_AGAIN(messages=self._resent - self._told))
             self._told = self._resent
         expression = keys.full(self.vehicle, self._expression)
         request = self._gaps.sweep(expression, self.clock.now_ns(), all_of_it)
@@ -249,7 +252,7 @@ class RecorderNode(Node):
         """Record what a publisher sent once more, and name what it no longer has."""
         answer = decode(ResendAnswer, item, "an answer")
         if isinstance(answer, Undecodable):
-            self.log(f"{answer}; left out")
+            self.tell(STRANGE_ANSWER(size_bytes=answer.size, reason=answer.reason))
             return
         self._answers += 1
         if not answer.stretches:  # the answer to a publisher's farewell
@@ -309,14 +312,13 @@ class RecorderNode(Node):
         vehicle, path = keys.split(keys.published(topic))
         kind: Kind | None = None
         if vehicle != self.vehicle:
-            self._mentions.mention(f"{topic}: not recorded, for it is no key of this vehicle")
+            self.tell(KEY_OF_OTHERS(key=topic))
         elif not any(keys.matches(expression, path) for expression in self._settings.exclude):
             key = keys.find(path)
             kind = self._types.kind(envelope.encoding) if key is None else key.type
             if keys.is_apart(topic):
                 who = self.sources.name(int(topic.rpartition(keys.APART)[2], 16))
-                text = f"{path} comes from a second publisher, {who}; it is recorded as {topic}"
-                self._mentions.mention(text)
+                self.tell(SECOND_PUBLISHER(key=path, who=who, kept=topic))
         if kind is not PENDING:
             self._kinds[topic] = kind
         return kind
@@ -324,8 +326,7 @@ class RecorderNode(Node):
     def _learn_type(self, answer: Described) -> None:
         """Record what has waited for the description of its type."""
         if answer.type is None:
-            text = f"messages of {answer.name} are recorded as bytes, for {answer.reason}"
-            self._mentions.mention(text)
+            self.tell(NOT_DESCRIBED(type=answer.name, reason=answer.reason))
         self._record_held(self._types.settle(answer), answer.type or UNDESCRIBED)
 
     def _record_held(self, held: list[Held], kind: Kind) -> None:
@@ -337,8 +338,8 @@ class RecorderNode(Node):
         self._tell()
 
     def _tell(self) -> None:
-        for sentence in self.recording.take_sentences():
-            self.log(sentence)
+        for event in self.recording.take_events():
+            self.tell(event)
         for loss in self.recording.take_losses():
             self._ledger.delivered -= loss.count
             self._ledger.dropped += loss.count
@@ -353,22 +354,23 @@ class RecorderNode(Node):
                     cause=Loss.Cause.DISK,
                 ),
             )
-        self.trouble = self.recording.text
+        trouble = self.recording.trouble
+        self.troubles = [] if trouble is None else [trouble]
 
     def finish(self) -> None:
         self.heartbeat()
         self.drain()
         self.settle_sources(at_end=True)
-        self._mentions.tell_unsaid()
         try:
             self._ask_for_the_last()
             self.settle_sources(at_end=True)
         except Exception as error:  # noqa: BLE001  told; the last part is finished whatever it was
             self.fault(error)
         self._record_held(self._types.give_up(), UNDESCRIBED)
-        if not self.recording.close():
-            self.trouble = f"{self.recording.text}; what is written is repaired at the next start"
+        whole = self.recording.close()
         self._tell()
+        if not whole:
+            self.troubles.append(NOT_FINISHED())
 
     def take_leave(self) -> None:
         """Nobody waits for the recorder, and those who wait for it need not any more."""

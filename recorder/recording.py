@@ -5,8 +5,8 @@ be read alone: it repeats all schemas, channels (with the same ids) and metadata
 has `session` and `part`, so that parts can be put in order.
 
 Nothing here waits for the disk: `append` only touches memory, `flush` hands work to a thread.
-Trouble is shown in `state` and `text`, dropped messages are counted, and writing goes on as soon as
-the disk allows.
+What is wrong stands in `state` and `trouble`, dropped messages are counted, and writing goes on as
+soon as the disk allows.
 """
 
 from __future__ import annotations
@@ -19,10 +19,18 @@ from google.protobuf.message import Message
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Recorder
 from tramstream.errors import RecordError
+from tramstream.events.kinds import Event
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import NodeHealth
+from tramstream.recorder.events import (
+    EMPTY_DELETED,
+    FOLDER_REFUSED,
+    PART_NOT_REPAIRED,
+    PART_REPAIRED,
+)
+from tramstream.recorder.file.recover import Recovery
 from tramstream.recorder.file.repair import REDO, repair
-from tramstream.recorder.file.sink import ACTIVE, Loss, LossBook, Worker, reason
+from tramstream.recorder.file.sink import ACTIVE, Loss, LossBook, Worker, why
 from tramstream.recorder.file.writer import RecordFile, host_metadata
 from tramstream.recorder.names import UTC_OFFSET, WORTH_CORRECTING_NS, PartNames, UtcOffset, parse
 from tramstream.recorder.space import FreeSpace
@@ -74,7 +82,8 @@ class Recording:
         self._previous: RecordFile | None = None
         self._closing: list[RecordFile] = []
         self._losses = LossBook()
-        self._folder_text = self._end_text = ""
+        self._folder_trouble: Event | None = None
+        self._end_trouble: Event | None = None
         self._begun_ns = 0
         self._checking = False
 
@@ -92,31 +101,31 @@ class Recording:
         return max((file.state for file in files if file is not None), default=int(NodeHealth.OK))
 
     @property
-    def text(self) -> str:
-        """One sentence if the state is not OK."""
-        texts = [self._end_text, self._stopped]
-        texts += [file.text for file in [self._file, *self._closing] if file is not None]
-        return next((text for text in texts if text), "")
+    def trouble(self) -> Event | None:
+        """What is wrong if the state is not OK."""
+        troubles = [self._end_trouble, self._stopped]
+        troubles += [file.trouble for file in [self._file, *self._closing] if file is not None]
+        return next((trouble for trouble in troubles if trouble is not None), None)
 
-    def start(self) -> list[str]:
+    def start(self) -> list[Event]:
         """Make the folder, repair what was left unfinished, look at the space.
 
-        Returns sentences about what was found and done. May be called once, before `append`.
+        Returns what was found and done. May be called once, before `append`.
         """
-        sentences = []
+        found: list[Event] = []
         self._make_folder()
-        if not self._folder_text:
+        if self._folder_trouble is None:
             self._check_space()
             self._worker.drain(_PATIENCE_S)  # repairs want the room that it makes
             for active in sorted(self.directory.glob(f"*.mcap{ACTIVE}")):
                 try:
-                    sentences.append(repair(active).sentence)
+                    found.append(_repaired(repair(active)))
                 except RecordError as error:
-                    sentences.append(str(error))
+                    found.append(PART_NOT_REPAIRED(reason=error.reason, advice=error.cure))
             for redo in self.directory.glob(f"*.mcap{REDO}"):
                 if not redo.with_name(redo.name.removesuffix(REDO) + ACTIVE).exists():
                     redo.unlink(missing_ok=True)  # a repair was killed right before this
-        return sentences
+        return found
 
     def append(
         self,
@@ -139,7 +148,7 @@ class Recording:
 
     def flush(self) -> None:
         """Have everything written and synced; split, delete, stop or go on. Every `flush_s`."""
-        if self._folder_text:
+        if self._folder_trouble is not None:
             self._make_folder()
         self._check_space()
         self._see_host()
@@ -161,13 +170,13 @@ class Recording:
                 losses += file.take_losses()
         return losses
 
-    def take_sentences(self) -> list[str]:
+    def take_events(self) -> list[Event]:
         """What was done about space and files since the last call."""
-        sentences = []
-        for said in (self.space.sentences, self._worker.sentences):
-            while said:
-                sentences.append(said.popleft())
-        return sentences
+        taken = []
+        for events in (self.space.events, self._worker.events):
+            while events:
+                taken.append(events.popleft())
+        return taken
 
     def close(self, timeout_s: float = 10.0) -> bool:
         """Finish the last part; False if the disk did not take everything.
@@ -181,7 +190,7 @@ class Recording:
         drained = self._worker.drain(timeout_s)
         self._settle(again=False)
         if self._closing:
-            self._end_text = self.text
+            self._end_trouble = self.trouble
         left, self._closing = self._closing, []
         for file in left:
             file.abandon(busy=not drained)
@@ -191,19 +200,21 @@ class Recording:
         return not left
 
     @property
-    def _stopped(self) -> str:
-        return self._folder_text or self.space.blocked
+    def _stopped(self) -> Event | None:
+        return self._folder_trouble or self.space.blocked
 
     def _make_folder(self) -> None:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            self._folder_text = (
-                f"{self.directory}: the folder of records cannot be made: {reason(error)}"
-            )
+            self._folder_trouble = self._refused(error)
         else:
-            self._folder_text = ""
+            self._folder_trouble = None
             self._names = PartNames(self.directory, self.vehicle, self._values["boot_id"], self.utc)
+
+    def _refused(self, error: OSError) -> Event:
+        reason, advice = why(error)
+        return FOLDER_REFUSED(folder=self.directory, reason=reason, advice=advice)
 
     def _check_space(self) -> None:
         """Look at the space in the background, one look at a time."""
@@ -249,10 +260,10 @@ class Recording:
         """Correct the names of parts that were finished before the time was known."""
         assert self._names is not None
         try:
-            self.space.sentences.extend(self._names.correct_finished(self._worker.storage))
+            self.space.events.extend(self._names.correct_finished(self._worker.storage))
         except OSError as error:
             self._corrected = False  # again at the next flush
-            self.space.sentences.append(f"{self.directory}: {reason(error)}")
+            self.space.events.append(self._refused(error))
 
     def _end_part(self) -> None:
         assert self._file is not None
@@ -279,3 +290,17 @@ class Recording:
 
 def _active(path: Path) -> Path:
     return path.with_name(path.name + ACTIVE)
+
+
+def _repaired(recovery: Recovery) -> Event:
+    part = recovery.source.name
+    if recovery.target is None:
+        return EMPTY_DELETED(part=part)
+    return PART_REPAIRED(
+        part=part,
+        messages=recovery.messages,
+        lasting_s=(recovery.end_ns - recovery.start_ns) / S,
+        damaged_bytes=recovery.bytes_damaged,
+        torn=recovery.chunks_damaged,
+        unknown=recovery.messages_unknown,
+    )

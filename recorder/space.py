@@ -10,7 +10,15 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from tramstream.recorder.file.sink import reason
+from tramstream.events.kinds import Event
+from tramstream.recorder.events import (
+    FOLDER_REFUSED,
+    NO_SPACE,
+    PART_DELETED,
+    PART_NOT_DELETED,
+    SPACE_HELD,
+)
+from tramstream.recorder.file.sink import why
 from tramstream.recorder.names import KEEP, PartName, parse
 
 _PATIENCE_NS = 60_000_000_000
@@ -20,8 +28,8 @@ _PATIENCE_NS = 60_000_000_000
 class FreeSpace:
     """The floor under one folder's free space. `check` runs on the disk worker.
 
-    Only files named like a recorder's own are ever deleted. `blocked` is one sentence while the
-    space is below the floor and nothing may be deleted.
+    Only files named like a recorder's own are ever deleted. `blocked` says why nothing may be
+    written: the space is below the floor and nothing may be deleted.
     """
 
     def __init__(
@@ -32,8 +40,8 @@ class FreeSpace:
     ) -> None:
         self.directory = directory
         self.floor_bytes = floor_bytes
-        self.blocked = ""
-        self.sentences: deque[str] = deque()
+        self.blocked: Event | None = None
+        self.events: deque[Event] = deque()
         self.latest: PartName | None = None
         """The running session's last finished part: stays, else a stop would eat its own record."""
         self._free_bytes = free_bytes or _disk_free
@@ -50,17 +58,14 @@ class FreeSpace:
                     break
                 free = self._delete(oldest, free, now_ns)
         except OSError as error:
-            self.blocked = f"{self.directory}: {reason(error)}"
+            reason, advice = why(error)
+            self.blocked = FOLDER_REFUSED(folder=self.directory, reason=reason, advice=advice)
             return
         waiting = now_ns < self._wait_until_ns
-        self.blocked = "" if free >= self.floor_bytes or waiting else self._too_little(free)
+        self.blocked = None if free >= self.floor_bytes or waiting else self._too_little(free)
 
-    def _too_little(self, free: int) -> str:
-        return (
-            f"{self.directory}: recording stopped, {free / 1e6:.0f} MB are free, the floor is "
-            f"{self.floor_bytes / 1e6:.0f} MB and no record may be deleted; make space or remove "
-            f"*{KEEP} files"
-        )
+    def _too_little(self, free: int) -> Event:
+        return NO_SPACE(folder=self.directory, free_bytes=free, floor_bytes=self.floor_bytes)
 
     def _oldest(self) -> Path | None:
         found = []
@@ -85,14 +90,15 @@ class FreeSpace:
             return self._free_bytes(self.directory)
         except OSError as error:
             self._refused.add(path)
-            self.sentences.append(f"{path.name}: cannot be deleted: {reason(error)}")
+            reason, advice = why(error)
+            self.events.append(PART_NOT_DELETED(part=path.name, reason=reason, advice=advice))
             return free
         after = self._free_bytes(self.directory)
-        text = f"{path.name}: deleted, {free / 1e6:.0f} MB were free"
+        floor = self.floor_bytes
+        self.events.append(PART_DELETED(part=path.name, free_bytes=free, floor_bytes=floor))
         if after - free < size // 2:
             self._wait_until_ns = now_ns + _PATIENCE_NS
-            text += "; its space is not free yet, somebody may still read it"
-        self.sentences.append(text)
+            self.events.append(SPACE_HELD(part=path.name))
         return after
 
 

@@ -22,6 +22,7 @@ from live import finished
 from tramstream import keys
 from tramstream.config import Map
 from tramstream.errors import MachineCodeError
+from tramstream.graph import Graph
 from tramstream.live.registry import make_processors
 from tramstream.machine import compilation, machine_code
 from tramstream.simulation import scenario
@@ -51,14 +52,12 @@ def ride(network: str) -> None:
     path = networks.switch().path("stem", "branch")
     simulation = Simulation(path, scenario.load("city"), 1, RIDE_S)
     vehicle = msgspec.structs.replace(simulation.vehicle, map=Map(network=network))
-    resampler, *others = sorted(make_processors(vehicle), key=lambda each: each.name != "resampler")
+    graph = Graph(make_processors(vehicle))
     runs = set()
     for sent in simulation.samples():
-        for made in resampler.step(sent) if sent.key in resampler.inputs else ():
-            for processor in others:
-                for said in processor.step(made) if made.key in processor.inputs else ():
-                    if said.key is keys.MAP_MATCH:
-                        runs.add(said.message.run)
+        for said in graph.step(sent):
+            if said.key is keys.MAP_MATCH:
+                runs.add(said.message.run)
     assert {networks.switch().run("stem"), networks.switch().run("branch")} <= runs
 
 

@@ -87,8 +87,9 @@ class VehicleClock:
                     known = _read_clock(path, boot) or _write_clock(path, boot, rate)
             except OSError as error:
                 raise ConfigError(
-                    f"{path}: cannot write the clock file ({error.strerror}); set "
-                    "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder that you may write"
+                    f"{path}: cannot write the clock file ({error.strerror})",
+                    cure="set "
+                    "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder that you may write",
                 ) from error
         return cls(*known)
 
@@ -112,13 +113,13 @@ def make_runtime_dir(runtime_dir: Path) -> None:
         doubt = private.make(runtime_dir)
     except OSError as error:
         raise ConfigError(
-            f"{runtime_dir}: cannot make the runtime folder ({error.strerror}); set "
-            "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to one that you may write"
+            f"{runtime_dir}: cannot make the runtime folder ({error.strerror})",
+            cure="set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to one that you may write",
         ) from error
     if doubt:
         raise ConfigError(
-            f"{runtime_dir}: the runtime folder {doubt}; set $.bus.runtime_dir or "
-            "TRAMSTREAM_RUNTIME_DIR to one of your own (mode 700)"
+            f"{runtime_dir}: the runtime folder {doubt}",
+            cure="set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to one of your own (mode 700)",
         )
 
 

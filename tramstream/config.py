@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from tramstream import keys
+
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold
 it."""
@@ -231,10 +233,17 @@ class Ekf(Struct, frozen=True, kw_only=True):
     """How the speed may change where no accelerometer tells."""
     tilt_std_rad_rts: Positive = 0.005
     """How roll and pitch may change where no gyroscope tells: a grade of 7 % within 200 s."""
+    track: Literal["with_map", "always", "never"] = "with_map"
+    """Whether the filter takes what map/matcher/track tells it of the track: "with_map" where this
+    file has a section [map], "always" also where somebody else's matcher says it."""
+    track_delay_s: Annotated[float, Meta(ge=0.02, le=2.0)] = 0.2
+    """Track geometry of an instant is used at the first step so long after it, wherever the matcher
+    runs: more than the longest batch and the bus take. What comes later is counted and not used."""
 
 
 class Map(Struct, frozen=True, kw_only=True):
-    """The track network onto which the filter is put; without this section it has no map."""
+    """The map matcher's track network, onto which the filter is put; without this section there is
+    no map."""
 
     network: str
     """File that `tramstream map build` wrote."""
@@ -243,6 +252,9 @@ class Map(Struct, frozen=True, kw_only=True):
     what the network itself states: σ_map of kaspar2023 (docs/theory.md, section 11.3)."""
     correlation_m: Positive = 30.0
     """Length of track over which `std_m` is one and the same error."""
+    source: Annotated[str, Meta(pattern=r"^[^/*]+/[^/*]+/[^/*]+$")] = keys.EST_STATE.path
+    """Key of what is matched: the state of any localiser, or "raw/gnss/fix", the receiver's own
+    fixes."""
 
 
 class Recorder(Struct, frozen=True, kw_only=True):
@@ -282,6 +294,8 @@ class Simulator(Struct, frozen=True, kw_only=True):
 
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+MATCHER = "map_matcher"
+"""Name of the processor that [map] is for."""
 
 
 class Vehicle(Struct, frozen=True, kw_only=True):
@@ -289,9 +303,9 @@ class Vehicle(Struct, frozen=True, kw_only=True):
 
     vehicle: VehicleId
     """Name of the vehicle in all keys (tram/<vehicle>/…) and file names: letters, digits, _ . -"""
-    processors: tuple[Name, ...] = ("resampler", "ekf", "distance")
+    processors: tuple[Name, ...] = ("resampler", "ekf", MATCHER, "distance")
     """Which processors run, by the names under which they are registered. What is installed and
-    not named here does not run."""
+    not named here does not run; nor does the map matcher without a section [map]."""
     separate: tuple[Name, ...] = ()
     """Processors that get a process of their own; all others share one."""
     bus: Bus = Bus()
@@ -310,8 +324,19 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     of that name; the loader checks it against the `Settings` of its class."""
 
     @property
+    def running(self) -> tuple[str, ...]:
+        """The processors that run: those that are named, but for a map matcher without a map."""
+        return tuple(each for each in self.processors if each != MATCHER or self.map is not None)
+
+    @property
     def runtime_dir(self) -> Path:
         return Path(self.bus.runtime_dir) if self.bus.runtime_dir else default_runtime_dir()
+
+
+def takes_track(vehicle: Vehicle) -> bool:
+    """Whether the localisation filter takes what a map matcher tells it of the track."""
+    track = vehicle.ekf.track
+    return track == "always" or (track == "with_map" and vehicle.map is not None)
 
 
 def default_runtime_dir() -> Path:

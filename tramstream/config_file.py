@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from tramstream import plugins
-from tramstream.config import Bus, Recorder, Vehicle
+from tramstream.config import MATCHER, Bus, Recorder, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 from tramstream.strict_toml import convert, read_toml
@@ -34,8 +34,8 @@ def load(path: Path) -> Vehicle:
         data = read_limited(path, TEXT_LIMIT_BYTES)
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot read the configuration ({error.strerror}); "
-            "`tramstream init` writes one"
+            f"{path}: cannot read the configuration ({error.strerror})",
+            cure="`tramstream init` writes one",
         ) from error
     return parse(data, str(path), path.parent)
 
@@ -46,8 +46,8 @@ def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     sections = {section: raw.pop(section) for section in _strangers() if section in raw}
     if SECTIONS in raw:
         raise ConfigError(
-            f"{name}: $.{SECTIONS}: unknown field; settings of a processor of another package "
-            "stand in a section of its name"
+            f"{name}: $.{SECTIONS}: unknown field",
+            cure="settings of a processor of another package stand in a section of its name",
         )
     vehicle = _resolve(convert(raw, Vehicle, name), folder)
     _check_names(vehicle, name)
@@ -60,7 +60,7 @@ SECTIONS = "sections"
 def _strangers() -> list[str]:
     """Names of sections that processors and bridges of other packages have."""
     known = {*plugins.names("processors"), *plugins.names("bridges")}
-    return sorted(known - set(Vehicle.__struct_fields__))
+    return sorted(known - {*Vehicle.__struct_fields__, MATCHER})
 
 
 def _check_names(vehicle: Vehicle, file: str) -> None:
@@ -86,7 +86,9 @@ def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str,
         type_ = class_.Settings
         if type_ is None:
             if section in sections:
-                raise ConfigError(f"{file}: $.{section}: {section} has no settings; delete it")
+                raise ConfigError(
+                    f"{file}: $.{section}: {section} has no settings", cure="delete it"
+                )
             continue
         found = convert(sections.get(section, {}), type_, file, f"$.{section}")
         made[section] = msgspec.to_builtins(found)

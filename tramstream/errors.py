@@ -8,9 +8,22 @@ from __future__ import annotations
 
 
 class TramstreamError(Exception):
-    """Root of the tree. `exit_status` is what the command line ends with."""
+    """Root of the tree. `exit_status` is what the command line ends with.
+
+    Parameters
+    ----------
+    reason : str
+        What is wrong.
+    cure : str
+        What to do about it; stands behind a semicolon in the sentence.
+    """
 
     exit_status = 2
+
+    def __init__(self, reason: str = "", cure: str = "") -> None:
+        super().__init__(f"{reason}; {cure}" if cure else reason)
+        self.reason = reason
+        self.cure = cure
 
 
 class ConfigError(TramstreamError):

@@ -2,7 +2,8 @@
 
 Who declares a key as an input gets every sample on it, whoever made it. A sample is stepped through
 all its readers, in the order of the processors, before what follows from it is: so the order is the
-same live, in reprocessing, on one core and on several, and in a notebook:
+same live, in reprocessing, on one core and on several, and in a notebook. Processors may feed each
+other in a ring, as filter and map matcher do, where somebody in it lets what came back wait:
 
     graph = Graph([Resampler(vehicle), LocalisationFilter(vehicle)])
     for sample in ride.samples():
@@ -30,6 +31,8 @@ class Graph:
         Two of them may not make the same key.
     failed : callable or None
         Gets what a processor raises, and the others go on; with None it is raised to the caller.
+    step_of : callable or None
+        Gives what steps a processor instead of its own `step`.
 
     Raises
     ------
@@ -38,7 +41,10 @@ class Graph:
     """
 
     def __init__(
-        self, processors: Sequence[Processor], failed: Callable[[Exception], None] | None = None
+        self,
+        processors: Sequence[Processor],
+        failed: Callable[[Exception], None] | None = None,
+        step_of: Callable[[Processor], _Step] | None = None,
     ) -> None:
         self.processors = list(processors)
         self._steps: dict[str, list[_Step]] = {}
@@ -46,13 +52,17 @@ class Graph:
         """What is made inside, by path."""
         read: dict[str, Key] = {}
         for processor in self.processors:
-            step = processor.step if failed is None else _guarded(processor.step, failed)
+            step = processor.step if step_of is None else step_of(processor)
+            if failed is not None:
+                step = _guarded(step, failed)
             for key in processor.inputs:
                 read.setdefault(key.path, key)
                 self._steps.setdefault(key.path, []).append(step)
             for key in processor.outputs:
                 if key.path in self.outputs:
-                    raise ConfigError(f"two processors make {key.path}; switch one of them off")
+                    raise ConfigError(
+                        f"two processors make {key.path}", cure="switch one of them off"
+                    )
                 self.outputs[key.path] = key
         self.inputs = {path: key for path, key in read.items() if path not in self.outputs}
         """What must come from outside, by path."""

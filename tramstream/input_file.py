@@ -30,7 +30,9 @@ def read_bytes(path: Path, limit_bytes: int = LIMIT_BYTES) -> bytes:
     try:
         return read_limited(path, limit_bytes)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror})", cure="check the name"
+        ) from error
 
 
 def read_limited(path: Path, limit_bytes: int) -> bytes:
@@ -47,8 +49,8 @@ def read_limited(path: Path, limit_bytes: int) -> bytes:
         data = file.read(limit_bytes + 1)
     if len(data) > limit_bytes:
         raise ConfigError(
-            f"{path}: is longer than {limit_bytes / 1e6:.0f} MB, which none of its kind is; check "
-            "the name"
+            f"{path}: is longer than {limit_bytes / 1e6:.0f} MB, which none of its kind is",
+            cure="check the name",
         )
     return data
 

@@ -160,6 +160,9 @@ SYNC_TICK = define(
     "sync/clock/tick", sync_pb2.Tick, 10, "event time", "Time passing, what was read"
 )
 SYNC_SNAPSHOT = define("sync/clock/snapshot", sync_pb2.Snapshot, 0.1, "tick", "Processors' memory")
+MEMORY = define(
+    "sync/*/memory", sync_pb2.Snapshot, 0, "publication", "What a process of its own began with"
+)
 
 # est: what filters say ------------------------------------------------------------------------
 EST_DISTANCE = define(
@@ -179,12 +182,20 @@ EST_SMOOTHED = define(
     "est/ekf/smoothed", estimate_pb2.MotionState, 10, "state", "Offline: with the whole ride known"
 )
 
+EST_LATE = define(
+    "est/ekf/late", sync_pb2.LateSample, 0, "late sample", "Track geometry that came too late"
+)
+
 # map: where on the network ------------------------------------------------------------------------
 MAP_MATCH = define(
     "map/matcher/match", estimate_pb2.MapMatch, 100, "horizon", "Track, chainage, probability"
 )
 MAP_LOCATION = define(
     "map/matcher/location", LocationFix, 10, "horizon", "The place on the track for any viewer"
+)
+
+MAP_TRACK = define(
+    "map/matcher/track", estimate_pb2.TrackGeometry, 10, "matched state", "The track, for filters"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------
@@ -195,7 +206,8 @@ DEVICE = define(
     "health/*/device", health_pb2.DeviceHealth, 1, "publication", "A device behind a bridge"
 )
 LOSS = define("health/*/loss", health_pb2.Loss, 0, "publication", "Messages a node never got")
-LOG = define("health/*/log", Log, 0, "publication", "What a node has to say")
+EVENT = define("health/*/event", health_pb2.Event, 0, "event time", "What happened: kind and facts")
+LOG = define("health/*/log", Log, 0, "event time", "The same as sentences, for any viewer")
 CLOCK = define(
     "health/clock/reference", health_pb2.ClockReference, 0.1, "publication", "Clock and UTC"
 )

@@ -41,7 +41,8 @@ def load(group: str, name: str) -> Any:
                 package = point.dist.name if point.dist is not None else point.module
                 raise ConfigError(
                     f"{group.rstrip('s')} {name}: package {package} cannot be loaded "
-                    f"({type(error).__name__}: {error}); mend or uninstall it, or do not name it"
+                    f"({type(error).__name__}: {error})",
+                    cure="mend or uninstall it, or do not name it",
                 ) from error
     raise ConfigError(unknown(group.rstrip("s"), name, names(group)))
 

@@ -15,12 +15,18 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import msgspec
 from google.protobuf.message import Message
 
+from tramstream import keys
 from tramstream.config import Vehicle
 from tramstream.config_file import settings
+from tramstream.events.kinds import Event, Kind
+from tramstream.events.messages import log_of, message_of
+from tramstream.events.repeats import Repeats
 from tramstream.keys import Key
 from tramstream.memory.stage import State as State
 from tramstream.memory.stage import assign, check, from_plain, to_plain
 from tramstream.proto.sync_pb2 import LateSample
+
+_SAID = "said"
 
 
 class Sample(NamedTuple):
@@ -67,8 +73,11 @@ class Processor(ABC):
     """
 
     name: ClassVar[str]
-    inputs: ClassVar[tuple[Key, ...]]
+    inputs: tuple[Key, ...]
+    """Of the class; where they hang on the settings, an instance has its own."""
     outputs: ClassVar[tuple[Key, ...]]
+    events: ClassVar[tuple[Kind, ...]] = ()
+    """Kinds of events that it raises; `outputs` then have the keys for them as well."""
     Settings: ClassVar[type[msgspec.Struct] | None] = None
     """Its section of the configuration: `[<name>]`, checked strictly while loading; who calls
     `super().__init__(vehicle)` has it as `self.settings`."""
@@ -80,9 +89,16 @@ class Processor(ABC):
     Memory: ClassVar[type[Any]] = NoMemory
     """Dataclass whose fields have defaults, as at a start; see `tramstream.memory.stage`."""
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.events:
+            said = (keys.EVENT.at(cls.name), keys.LOG.at(cls.name))
+            cls.outputs = (*cls.outputs, *(key for key in said if key not in cls.outputs))
+
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self._next_sequence: dict[str, int] = {}
         check(self.Memory)
+        self._repeats = Repeats(self.events)
         self.memory: Any = self.Memory()
         if vehicle is not None and self.Settings is not None:
             self.settings: Any = settings(vehicle, self.name, self.Settings)
@@ -125,12 +141,32 @@ class Processor(ABC):
         stamp(message, stamp_ns, sequence)
         return Sample(key, message, stamp_ns, sequence)
 
+    def raise_event(self, event: Event, stamp_ns: int) -> list[Sample]:
+        """Say what happened; the same again only now and then (`tramstream.events.repeats`)."""
+        unsaid = self._repeats.take(event, stamp_ns)
+        return [] if unsaid is None else self._said(event, unsaid, stamp_ns)
+
+    def overdue_events(self, stamp_ns: int) -> list[Sample]:
+        """Say how often what was said last has happened since; for whoever steps now and then."""
+        found = self._repeats.overdue(stamp_ns)
+        return [each for event, more in found for each in self._said(event, more, stamp_ns)]
+
+    def _said(self, event: Event, unsaid: int, stamp_ns: int) -> list[Sample]:
+        if event.kind not in self.events:
+            raise ValueError(f"{self.name} raises {event.kind}, which is none of its events")
+        message = message_of(event, self.name, unsaid)
+        return [
+            self.emit(keys.EVENT.at(self.name), message, stamp_ns),
+            self.emit(keys.LOG.at(self.name), log_of(message), stamp_ns),
+        ]
+
     def sequences(self) -> State:
-        """Next sequence number per key: belongs into every snapshot."""
-        return dict(self._next_sequence)
+        """Next sequence number per key, and what was said when: belongs into every snapshot."""
+        return {**self._next_sequence, _SAID: self._repeats.snapshot()}
 
     def restore_sequences(self, state: State) -> None:
-        self._next_sequence = dict(state)
+        self._next_sequence = {path: state[path] for path in state if path != _SAID}
+        self._repeats.restore(state.get(_SAID, {}))
 
 
 @runtime_checkable

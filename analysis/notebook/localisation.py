@@ -117,7 +117,7 @@ def _shortfalls(place: Path, done: Rerun) -> list[str]:
         told.append(f"{place}: {boundary.left_out(done.undecodable.items())}, as live")
     if done.without_map:
         told.append(
-            f"$.map.network: {done.without_map}; localisation went on without the map; give "
+            f"{done.without_map}; localisation went on without the map; give "
             'settings={"map": {"network": …}}'
         )
     return told

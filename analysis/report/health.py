@@ -202,6 +202,25 @@ def add_health(page: Page, material: Material, timeline: Timeline) -> None:
         _cut(page, len(health.losses))
     else:
         page.note("No node reported a loss.")
+    page.heading("What happened")
+    if health.happened:
+        columns = ("first, UTC", "last, UTC", "who", "event", "level", "times", "the last of them")
+        happened = [
+            (
+                clock(each.first_ns, material),
+                clock(each.last_ns, material),
+                each.node,
+                each.kind,
+                each.level.lower(),
+                each.count,
+                each.last,
+            )
+            for each in health.happened.values()
+        ]
+        page.table(columns, happened[:MOST_ROWS])
+        _cut(page, len(happened))
+    else:
+        page.note("No event is in the record.")
     page.heading("Log")
     if health.log:
         rows = [

@@ -38,10 +38,12 @@ from tramstream.estimation.series import (
     TruthSeries,
 )
 from tramstream.geodesy import LocalLevel
+from tramstream.graph import Graph
 from tramstream.lines import geojson
 from tramstream.lines.line import Line, built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -215,7 +217,9 @@ class _Run:
     """A model on its way, and the time that it took."""
 
     def __init__(self, model: str, vehicle: Vehicle) -> None:
-        self._filter = LocalisationFilter(replace(vehicle, ekf=replace(vehicle.ekf, model=model)))
+        vehicle = replace(vehicle, ekf=replace(vehicle.ekf, model=model))
+        self._filter = LocalisationFilter(vehicle)
+        self._graph = Graph([self._filter, MapMatcher(vehicle)])
         self._smooths = model == TramLocaliser.name
         if self._smooths:
             self._filter.keep()
@@ -224,11 +228,11 @@ class _Run:
 
     def take(self, frame: Sample, judged: bool) -> None:
         begin_s = time.thread_time()
-        outputs = self._filter.step(frame)
+        outputs = self._graph.step(frame)
         self._elapsed_s += time.thread_time() - begin_s
         self._said.steps += 1
-        for output in outputs:
-            if judged and output.key is keys.EST_STATE:
+        for output in outputs if judged else ():
+            if output.key is keys.EST_STATE:
                 self._said.keep(output.message)
 
     def said(self) -> Iterator[_Said]:
@@ -271,13 +275,9 @@ def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
     rows = [(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m) for fix in fixes]
     stamp_ns = np.array([fix.stamp_ns for fix in fixes])
     unknown = np.full(len(fixes), np.nan)
-    series = FixSeries(
-        stamp_ns=stamp_ns,
-        valid=np.array([fix.valid for fix in fixes]),
-        p_l=simulation.line.level.from_geodetic(_geodetic(np.array(rows))),
-        speed_mps=unknown,
-        course_yaw_rad=unknown,
-    )
+    place = simulation.line.level.from_geodetic(_geodetic(np.array(rows)))
+    valid = np.array([fix.valid for fix in fixes])
+    series = FixSeries(stamp_ns, valid, place, speed_mps=unknown, course_yaw_rad=unknown)
     gnss = simulation.vehicle.gnss
     assert gnss is not None
     return fix_errors(series, _truth_at(simulation, stamp_ns), gnss.lever_arm_m)

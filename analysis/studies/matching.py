@@ -43,7 +43,9 @@ from tramstream.analysis.studies.matching_figures import (
 from tramstream.analysis.studies.matching_judge import Reliability, Verdicts
 from tramstream.clock import S
 from tramstream.errors import ConfigError
+from tramstream.graph import Graph
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.simulation import scenario
 from tramstream.simulation.detours import detour
@@ -191,7 +193,8 @@ def study(case: Case) -> Figures:
     ride = ride_of(case)
     simulation = simulation_of(case, ride)
     vehicle = vehicle_of(case, simulation)
-    localisation = LocalisationFilter(replace(vehicle, map=config.Map(network=case.network)))
+    mapped = replace(vehicle, map=config.Map(network=case.network))
+    localisation = Graph([LocalisationFilter(mapped), MapMatcher(mapped)])
     free = LocalisationFilter(vehicle) if case.free else None
     fixes: list[GnssFix] = []
     said, said_freely, elapsed_s, number = Said(), Said(), 0.0, 0

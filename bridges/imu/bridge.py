@@ -113,7 +113,7 @@ class ImuBridge(Processor):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
         if vehicle.imu is None:
-            raise ConfigError("$.imu: missing; the imu bridge needs its device and model")
+            raise ConfigError("$.imu: missing", cure="the imu bridge needs its device and model")
         config = vehicle.imu
         self._batch = config.batch
         self._period_us = 1e6 / config.rate_hz

@@ -124,7 +124,9 @@ class OdometerBridge(Processor):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
         if vehicle.odometer is None:
-            raise ConfigError("$.odometer: missing; the odometer bridge needs its DBC and wheels")
+            raise ConfigError(
+                "$.odometer: missing", cure="the odometer bridge needs its DBC and wheels"
+            )
         self._wheels: list[_Wheel] = []
         self._plans: dict[int, _Plan] = {}
         self._silence_ns = int(vehicle.odometer.silence_s * S)
@@ -133,7 +135,9 @@ class OdometerBridge(Processor):
     def _compile(self, config: Odometer) -> None:
         """Look up the configured signals in the DBC."""
         if not config.wheels:
-            raise ConfigError("$.odometer.wheels: empty; name at least one wheel and its signal")
+            raise ConfigError(
+                "$.odometer.wheels: empty", cure="name at least one wheel and its signal"
+            )
         database = Database(config.dbc, "$.odometer.dbc")
         for name, wheel in config.wheels.items():
             where = f"$.odometer.wheels.{name}"

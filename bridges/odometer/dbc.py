@@ -105,8 +105,8 @@ class Database:
             }
         except OSError as error:
             raise ConfigError(
-                f"{where}: cannot read {path} ({error.strerror}); give the path of the vehicle's "
-                "DBC, relative to the configuration"
+                f"{where}: cannot read {path} ({error.strerror})",
+                cure="give the path of the vehicle's DBC, relative to the configuration",
             ) from error
         except (CantoolsError, ValueError, KeyError, AttributeError, RecursionError) as error:
             raise ConfigError(
@@ -177,7 +177,7 @@ def _pages(first: bytes, last: bytes) -> int:
 
 def _too_long(name: str, kind: str, what: bytes, most: str) -> ConfigError:
     text = what.decode("ascii", "replace")[:64]
-    return ConfigError(f"{name}: {kind} {text} is longer than {most}; correct the DBC")
+    return ConfigError(f"{name}: {kind} {text} is longer than {most}", cure="correct the DBC")
 
 
 def _field(signal: Any, signals: dict[str, Any]) -> Field:

@@ -72,18 +72,21 @@ def interface_index(name: str, bitrate: int) -> int:
         is_can = not is_up or (folder / "type").read_text().strip() == CAN_TYPE
     except OSError as error:
         raise DeviceError(
-            f"{name}: there is no such network interface; plug the adapter in, load its driver, or "
-            "correct $.odometer.channel (ip link shows what there is)"
+            f"{name}: there is no such network interface",
+            cure="plug the adapter in, load its driver, or "
+            "correct $.odometer.channel (ip link shows what there is)",
         ) from error
     if not is_up:
         # Virtual ones (vcan, vxcan) have no bit rate and refuse the whole command that sets one.
         virtual = "/devices/virtual/" in str(folder.resolve())
         rate = "" if virtual else f" type can bitrate {bitrate} restart-ms 100"
-        raise DeviceError(f"{name}: the interface is down; sudo ip link set {name} up{rate}")
+        raise DeviceError(
+            f"{name}: the interface is down", cure=f"sudo ip link set {name} up{rate}"
+        )
     if not is_can:
         raise DeviceError(
-            f"{name}: is no CAN interface; correct $.odometer.channel (ip link show type can shows "
-            "what there is)"
+            f"{name}: is no CAN interface",
+            cure="correct $.odometer.channel (ip link show type can shows what there is)",
         )
     return index
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
-
 from tramstream import keys
 from tramstream.bridges.simulators.devices import run_simulators
+from tramstream.bridges.simulators.events import FAULT_INJECTED, SIMULATORS_FAILED
 from tramstream.config import Vehicle
 from tramstream.errors import TramstreamError
 from tramstream.live.node import Node
@@ -70,13 +69,14 @@ class SimulatorNode(Node):
             self._sequences[keys.TRUTH_STATE.path] = item.sequence = sequence
             self.put(keys.TRUTH_STATE, item, sequence)
         elif isinstance(item, TramstreamError):
-            self.trouble = str(item)
-            self.log(str(item), Log.ERROR)
+            failed = SIMULATORS_FAILED(reason=item.reason, advice=item.cure)
+            self.troubles = [failed]
+            self.tell(failed)
         elif item["event"] == "progress":
             self._devices = item["devices"]
         elif item["event"] == "fault":
             faults = ", ".join(f"{name} ({count})" for name, count in item["faults"].items())
-            self.log(f"{item['device']}: injected {faults}", Log.INFO)
+            self.tell(FAULT_INJECTED(device=item["device"], faults=faults))
 
     def ledgers(self) -> list[Ledger]:
         ledgers = []

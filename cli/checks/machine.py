@@ -14,6 +14,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import metadata
@@ -21,7 +22,7 @@ from pathlib import Path
 
 from tramstream import keys, private
 from tramstream.clock import S, VehicleClock
-from tramstream.config import Map, Recorder
+from tramstream.config import MATCHER, Map, Recorder
 from tramstream.errors import TramstreamError
 from tramstream.machine import machine_code
 from tramstream.tracks import network as networks
@@ -73,9 +74,8 @@ def fail(name: str, text: str, cure: str) -> Finding:
 
 
 def from_error(name: str, error: TramstreamError) -> Finding:
-    """A failure out of an error, whose sentence ends with the cure."""
-    text, _, cure = str(error).partition("; ")
-    return fail(name, text, cure)
+    """A failure out of an error, which knows its cure."""
+    return fail(name, error.reason, error.cure)
 
 
 # Software -----------------------------------------------------------------------------------------
@@ -257,12 +257,15 @@ def _check_sync(folder: Path, flush_s: float) -> Finding:
 
 
 # Processor ----------------------------------------------------------------------------------------
-def check_map(settings: Map) -> Finding:
-    """The track network can be read."""
+def check_map(settings: Map, processors: Sequence[str] = (MATCHER,)) -> Finding:
+    """The track network can be read, and somebody matches with it."""
     try:
         network = networks.load(Path(settings.network))
     except TramstreamError as error:
         return from_error("map", error)
+    if MATCHER not in processors:
+        text = f"{settings.network}: nobody matches with it, for $.processors names no {MATCHER}"
+        return warning("map", text, f'add "{MATCHER}" to $.processors, or take [map] out')
     km = float(network.length_m.sum()) / 1000.0
     return ok("map", f"{settings.network}: {network.track_count} tracks, {km:.0f} km")
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from enum import IntEnum
+from itertools import chain
 from typing import Any
 
 from tramstream.boundary import name_of
 from tramstream.cli.monitor.digest import digest
 from tramstream.cli.monitor.stats import KeyStats, Stats
 from tramstream.clock import S
-from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
+from tramstream.events.messages import facts_of, sentence_of
+from tramstream.proto.health_pb2 import DeviceHealth, Event, NodeHealth
 from tramstream.transport.descriptions import Decoder
 
 SILENT_S = 3.0
@@ -22,6 +24,8 @@ SILENT_S = 3.0
 SLOW = 0.7
 """A key below this share of its nominal rate is marked."""
 MISSED_PERIODS = 5
+NEWS_S = 60.0
+"""An event is shown for so long."""
 SHORT_S = 0.3
 """A share over less is chance: the last heartbeat follows the one before at once."""
 
@@ -85,6 +89,19 @@ class DeviceRow:
 
 
 @dataclass(frozen=True, slots=True)
+class EventRow:
+    """The last event of one source, while it is news."""
+
+    source: str
+    kind: str
+    facts: dict[str, float | int | str]
+    text: str
+    """The event as people read it."""
+    age_s: float
+    level: Level
+
+
+@dataclass(frozen=True, slots=True)
 class Board:
     """Everything on the screen."""
 
@@ -92,6 +109,7 @@ class Board:
     now_ns: int
     nodes: list[NodeRow]
     devices: list[DeviceRow]
+    events: list[EventRow]
     keys: list[KeyRow]
 
     @property
@@ -110,7 +128,8 @@ class Board:
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         plain = asdict(self)
-        for row in [*plain["nodes"], *plain["devices"], *plain["keys"]]:
+        parts = (plain["nodes"], plain["devices"], plain["events"], plain["keys"])
+        for row in chain(*parts):
             for name, value in row.items():
                 if isinstance(value, Level):
                     row[name] = value.name.lower()
@@ -123,6 +142,7 @@ def board(stats: Stats, vehicle: str, now_ns: int, decode: Decoder | None = None
     decode = decode or Decoder()
     nodes: list[NodeRow] = []
     devices: list[DeviceRow] = []
+    events: list[EventRow] = []
     rows: list[KeyRow] = []
     for found in stats.in_order():
         if found.vehicle != vehicle:
@@ -133,7 +153,20 @@ def board(stats: Stats, vehicle: str, now_ns: int, decode: Decoder | None = None
             nodes.append(_node_row(found, message, decode, now_ns))
         elif isinstance(message, DeviceHealth):
             devices.append(_device_row(found, message, decode, now_ns))
-    return Board(vehicle, now_ns, nodes, devices, rows)
+        elif isinstance(message, Event) and (found.age_s(now_ns) or 0.0) <= NEWS_S:
+            events.append(_event_row(found, message, now_ns))
+    return Board(vehicle, now_ns, nodes, devices, events, rows)
+
+
+def _event_row(found: KeyStats, message: Event, now_ns: int) -> EventRow:
+    return EventRow(
+        source=message.source,
+        kind=message.kind,
+        facts=facts_of(message),
+        text=sentence_of(message),
+        age_s=found.age_s(now_ns) or 0.0,
+        level=Level.FINE if message.severity == Event.DEBUG else _level(message.severity),
+    )
 
 
 def _key_row(found: KeyStats, last: str, now_ns: int) -> KeyRow:

@@ -14,6 +14,7 @@ from google.protobuf.message import Message
 from tramstream import keys
 from tramstream.boundary import name_of
 from tramstream.clock import S
+from tramstream.events.messages import sentence_of
 from tramstream.wording import clipped, lasting, scaled
 
 FALLBACK_FIELDS = 4
@@ -210,6 +211,10 @@ def _log(message: Any) -> str:
     return " ".join(message.message.rstrip().splitlines()[-1:]).strip()
 
 
+def _event(message: Any) -> str:
+    return f"{message.kind}  {sentence_of(message)}"
+
+
 def _clock(message: Any) -> str:
     ahead_s = (message.host_utc_ns - message.stamp_ns) / S
     return f"host's UTC {ahead_s:+.6f} s from the vehicle clock"
@@ -246,6 +251,7 @@ _DIGESTS: dict[str, Callable[[Any], str]] = {
     "ClockReference": _clock,
     "DeviceHealth": _device,
     "DistanceState": _distance,
+    "Event": _event,
     "GnssAttitude": _attitude,
     "GnssCovariance": _covariance,
     "GnssFix": _fix,

@@ -14,7 +14,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
-from tramstream.cli.monitor.board import Board, DeviceRow, KeyRow, Level, NodeRow
+from tramstream.cli.monitor.board import Board, DeviceRow, EventRow, KeyRow, Level, NodeRow
 from tramstream.clock import S
 from tramstream.wording import clipped, lasting, number, scaled
 
@@ -75,6 +75,9 @@ class Screen:
         if board.devices:
             yield []
             yield from _devices(board.devices, width)
+        if board.events:
+            yield []
+            yield from _events(board.events, width)
         yield []
         if board.keys:
             yield from _keys(board.keys, width)
@@ -136,6 +139,17 @@ def _devices(rows: list[DeviceRow], width: int) -> Iterator[Line]:
             Cell(str(row.frames_rejected), 6, LEVELS[Level(row.frames_rejected > 0)], right=True),
             Cell(str(row.samples_lost), 6, LEVELS[Level(row.samples_lost > 0)], right=True),
             Cell(f"   {says}", 0, LEVELS[row.level] if row.text else DIM),
+        ]
+
+
+def _events(rows: list[EventRow], width: int) -> Iterator[Line]:
+    source = max(10, *(len(row.source) for row in rows)) + 2
+    yield _head(("EVENT", source, False), ("AGO", 8, True), ("   WHAT HAPPENED LAST", 0, False))
+    for row in rows:
+        yield [
+            Cell(row.source, source),
+            Cell(lasting(row.age_s), 8, right=True),
+            Cell(f"   {row.text}", 0, LEVELS[row.level]),
         ]
 
 

@@ -25,7 +25,9 @@ import numpy as np
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Distance, Vehicle
+from tramstream.events import Event, declared
 from tramstream.processor import Ledger, Processor, Sample
+from tramstream.processors.distance import events as own_events
 from tramstream.processors.distance import kalman1d
 from tramstream.proto.estimate_pb2 import DistanceState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -49,6 +51,9 @@ MAX_STEP_S = 60.0
 MAX_REFUSALS = 50
 """So many refused wheel readings in a row (one second) mean that the estimate is wrong, or that a
 slip has taken the wheels' path away from it for good."""
+
+
+WHEEL_PATH, GNSS_SPEED = "wheel_path", "gnss_speed"
 
 
 class _Taken(NamedTuple):
@@ -87,6 +92,7 @@ class DistanceFilter(Processor):
     memory: DistanceMemory
     inputs = (keys.SYNC_FRAME,)
     outputs = (keys.EST_DISTANCE,)
+    events = declared(own_events)
     pacing = (keys.SYNC_FRAME,)
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -123,7 +129,19 @@ class DistanceFilter(Processor):
             else:
                 memory.ledger.dropped += 1
             innovations += found
-        return [self._publish(innovations)] if innovations else []
+        made = [self._publish(innovations)] if innovations else []
+        for taken in innovations:
+            if not taken.accepted:
+                made += self.raise_event(self._refusal(taken), frame.stamp_ns)
+        return made + self.overdue_events(frame.stamp_ns)
+
+    def _refusal(self, taken: _Taken) -> Event:
+        off, limit = abs(taken.innovation), self._gate * sqrt(max(taken.variance, 0.0))
+        if taken.measurement == WHEEL_PATH:
+            path = keys.ODO_WHEELS.path
+            return own_events.PATH_REFUSED(key=path, innovation_m=off, limit_m=limit)
+        key = keys.GNSS_FIX if taken.measurement == GNSS_SPEED else keys.ODO_WHEELS
+        return own_events.SPEED_REFUSED(key=key.path, innovation_mps=off, limit_mps=limit)
 
     # Measurements --------------------------------------------------------------------------------
     def _predict(self, stamp_ns: int) -> None:
@@ -194,7 +212,7 @@ class DistanceFilter(Processor):
         if memory.offset_m is None:
             return self._tie(path_m, variance)
         z = path_m + memory.offset_m
-        innovation = self._update("wheel_path", z, kalman1d.POSITION, variance)
+        innovation = self._update(WHEEL_PATH, z, kalman1d.POSITION, variance)
         if not innovation.accepted and pause_s > MAX_PAUSE_S:
             return self._tie(path_m, variance)
         return innovation
@@ -206,7 +224,7 @@ class DistanceFilter(Processor):
         memory.settled_m2 += p00 + variance
         self._kalman.P = np.diag([variance, p11])
         memory.offset_m = self._kalman.state[0] - path_m
-        return _Taken("wheel_path", 0.0, variance, accepted=True)
+        return _Taken(WHEEL_PATH, 0.0, variance, accepted=True)
 
     def _take_fix(self, fix: GnssFix) -> list[_Taken]:
         if not fix.valid:
@@ -215,7 +233,7 @@ class DistanceFilter(Processor):
         # Speed over ground has no sign; the tram's direction is the filter's own.
         speed_mps = fix.speed_mps if self._kalman.state[1] >= 0.0 else -fix.speed_mps
         std_mps = max(fix.speed_std_mps, GNSS_SPEED_FLOOR_MPS)
-        return [self._update("gnss_speed", speed_mps, kalman1d.SPEED, std_mps**2)]
+        return [self._update(GNSS_SPEED, speed_mps, kalman1d.SPEED, std_mps**2)]
 
     def _update(self, name: str, z: float, H: kalman1d.Array, R: float) -> _Taken:
         verdict = self._kalman.update(z, R, H, self._gate)

@@ -22,40 +22,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tramstream.attitude import C_vl
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, takes_track
 from tramstream.errors import ConfigError
 from tramstream.estimation.fixes import antenna_l, deviations, unusable
-from tramstream.estimation.localiser import Array, Estimate, Learned, OnTrack, Verdict, values_of
+from tramstream.estimation.localiser import Array, Estimate, Learned, Verdict, values_of
+from tramstream.estimation.track import LocalTrack, Pose, Trail, TrailMemory
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
+from tramstream.memory.annotations import Varying
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.events import HEADING_LOST
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter, warm_up
 from tramstream.processors.kaspar2023.model import SIZE, STEP_S, Ix
 from tramstream.processors.kaspar2023.predictor import Ahead, AheadMemory
-from tramstream.processors.kaspar2023.wheels import (
-    MESSAGE_S,
-    PairMemory,
-    Reading,
-    Refused,
-    WheelPair,
-)
+from tramstream.processors.kaspar2023.start import start_std
+from tramstream.processors.kaspar2023.wheels import PairMemory, Reading, Refused, WheelPair
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
-START_SPEED_STD_MPS = 0.1
-"""The vehicle stands at first; where it does not, the wheels soon say so."""
-START_PITCH_STD_RAD = 0.05
-"""Trams climb 7 to 8 % at most."""
-SCALE_STD = 0.01
-"""Of the inertial axes before anything is learned; 1 % bounds the ADIS16465's data sheet."""
 HEADING_DISTANCE_M = 5.0
 AGREEMENT = 0.5
 """Fixes and filter may differ by so much of what the filter has moved, to give a heading."""
@@ -66,6 +60,7 @@ MAX_GAP_S = 1.0
 """Longest inertial gap that is predicted over, with the last acceleration and rates."""
 POSITION = (Ix.EAST, Ix.NORTH, Ix.UP)
 GNSS = ("gnss_east", "gnss_north", "gnss_up")
+TRACK = ("track_across",)
 
 _MOTION = np.array([Ix.EAST, Ix.NORTH, Ix.UP, Ix.SPEED, Ix.ROLL, Ix.PITCH, Ix.YAW])
 _MOTION_IN_P = (_MOTION[:, None] * SIZE + _MOTION).ravel()
@@ -87,6 +82,28 @@ _NAMES: tuple[tuple[Ix, str, str], ...] = (
 )
 
 
+@dataclass
+class LocaliserMemory:
+    """What a `Kaspar2023Localiser` remembers."""
+
+    x: Varying
+    P: Varying
+    """Of the filter, which replaces them with every step: as they were when last asked for."""
+    level: LocalLevel | None = None
+    stamp_ns: int = 0
+    heading_known: bool = False
+    fix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """The newest: antenna in `l`, variances, where the filter had it."""
+    start_fix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """Likewise, the last taken standing."""
+    fix_ns: int = 0
+    wheels: PairMemory = field(default_factory=PairMemory)
+    ahead: AheadMemory = field(default_factory=AheadMemory)
+    trail: TrailMemory = field(default_factory=TrailMemory)
+    given: list[Verdict] = field(default_factory=list)
+    """Verdicts on what was taken since the last frame."""
+
+
 class Kaspar2023Localiser:
     """The 25 states of the work on the frames of the resampler.
 
@@ -105,7 +122,9 @@ class Kaspar2023Localiser:
     def __init__(self, vehicle: Vehicle) -> None:
         imu = vehicle.imu
         if imu is None:
-            raise ConfigError("$.imu: the model kaspar2023 needs an IMU; $.ekf.model may be tram")
+            raise ConfigError(
+                "$.imu: the model kaspar2023 needs an IMU", cure="$.ekf.model may be tram"
+            )
         C_vb = C_vl(*np.radians(imu.mounting_deg)).T
         self._axes = np.zeros((4, 6))  # of accelerometer and gyroscopes, case axes, to (f_x, ω_v)
         self._axes[0, :3], self._axes[1:, 3:] = C_vb[0], C_vb
@@ -114,33 +133,32 @@ class Kaspar2023Localiser:
         gnss = vehicle.gnss
         self._p_va_v = np.array(gnss.lever_arm_m if gnss else (0.0, 0.0, 0.0), dtype=float)
         self._floor_m = gnss.error_floor_m if gnss else 0.0
-        self._start_std = _start_std(vehicle)
+        self._start_std = start_std(vehicle)
         Q = model.process_noise(imu.accel_walk_mps3_rthz, imu.gyro_walk_radps2_rthz)
-        self._filter, self._ahead = Kaspar2023Filter(Q), Ahead(Q)
-        self._wheels = WheelPair(vehicle)
-        self._level: LocalLevel | None = None
+        self._filter = Kaspar2023Filter(Q)
+        self.memory = memory = LocaliserMemory(self._filter.x, self._filter.P)
+        self._ahead = Ahead(Q, memory.ahead)
+        self._wheels = WheelPair(vehicle, memory.wheels)
         self._gravity_mps2 = 0.0
-        self._stamp_ns = 0
-        self._heading_known = False
-        self._fix = np.zeros((3, 3))  # newest: antenna in l, variances, where the filter had it
-        self._start_fix = np.zeros((3, 3))  # likewise, the last taken standing
-        self._fix_ns = 0
-        self._complaints: list[str] = []
+        self._complaints: list[Event] = []
+        self._pivot_m = vehicle.ekf.pivot_m
+        span_s = vehicle.ekf.track_delay_s
+        self._trail = Trail(span_s, memory.trail) if takes_track(vehicle) else None
         warm_up(Q)
 
     @property
     def level(self) -> LocalLevel | None:
-        return self._level
+        return self.memory.level
 
     def take(self, frame: SyncFrame) -> Estimate | None:
-        """See `estimation.localiser.Localiser`; frames without an inertial mean are left out."""
-        if not frame.HasField("imu") or frame.stamp_ns <= self._stamp_ns:
+        """See `Localiser`; frames without an inertial mean are left out."""
+        if not frame.HasField("imu") or frame.stamp_ns <= self.memory.stamp_ns:
             return None
-        if self._level is None and not self._begin(frame.gnss):
+        if self.memory.level is None and not self._begin(frame.gnss):
             return None
-        self._advance((frame.stamp_ns - self._stamp_ns) / S)
-        self._stamp_ns = frame.stamp_ns
-        verdicts = self._take_inertial(frame.imu)
+        self._advance(frame.stamp_ns)
+        verdicts, self.memory.given = self.memory.given, []
+        verdicts += self._take_inertial(frame.imu)
         for odometry in frame.odometry:
             verdicts += self._take_wheels(odometry)
         for fix in frame.gnss:
@@ -148,26 +166,36 @@ class Kaspar2023Localiser:
                 verdicts += self._take_fix(fix)
         return self._estimate(self._filter, frame.stamp_ns, verdicts)
 
-    def constrain(self, on_track: OnTrack) -> None:
+    def _pose(self) -> Pose:
+        x = self._filter.x
+        east, north, yaw, pitch = x[[Ix.EAST, Ix.NORTH, Ix.YAW, Ix.PITCH], 0].tolist()
+        pivot = self._pivot_m
+        return east - pivot * math.cos(yaw), north - pivot * math.sin(yaw), yaw, pitch
+
+    def follow(self, track: LocalTrack) -> bool:
         """The work's map: the distance to the track, in normal form (errata of 3.35)."""
-        if not self._heading_known:
-            return
+        then = self._trail.at(track.stamp_ns, self._pose()) if self._trail is not None else None
+        told = track.told(*then[:3]) if then is not None and self.memory.heading_known else None
+        if told is None:
+            return False
         H = np.zeros((1, SIZE))
-        H[0, Ix.EAST], H[0, Ix.NORTH] = on_track.normal_east, on_track.normal_north
-        across = np.array([[on_track.across_m]])
-        R = np.array([[on_track.across_variance]])
+        H[0, Ix.EAST], H[0, Ix.NORTH] = told.normal_east, told.normal_north
+        across = np.array([[told.across_m]])
+        R = np.array([[told.across_variance]])
         self._filter.update(np.zeros((1, 1)), lambda _: H, lambda _: across, R)
+        self.memory.given += _verdicts(self._filter, TRACK)
+        return True
 
     def see(self, mean: ImuMean) -> None:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         self._ahead.append(mean.stamp_ns, self._reading(mean)[:, 0].tolist())
 
     def ahead(self) -> Estimate | None:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         newest_ns = self._ahead.newest_ns
-        if self._level is None or newest_ns <= self._stamp_ns:
+        if self.memory.level is None or newest_ns <= self.memory.stamp_ns:
             return None
-        kalman = self._ahead.predict(self._filter, self._stamp_ns, self._gravity_mps2)
+        kalman = self._ahead.predict(self._filter, self.memory.stamp_ns, self._gravity_mps2)
         return self._estimate(kalman, newest_ns, [])
 
     # Start ---------------------------------------------------------------------------------------
@@ -178,19 +206,19 @@ class Kaspar2023Localiser:
             return False
         place = first.latitude_deg, first.longitude_deg, first.height_ellipsoid_m
         self._lay(LocalLevel.at_deg(*place))
-        self._stamp_ns = first.stamp_ns
+        self.memory.stamp_ns = first.stamp_ns
         self._filter.x = np.zeros((SIZE, 1))
         self._filter.P = np.diag(self._start_std**2)
         return True
 
     def _usable(self, fix: GnssFix) -> bool:
-        reason = unusable(fix, self._level) if fix.valid else ""
-        if reason:
-            self._complaints.append(f"{reason} was left out")
-        return fix.valid and not reason
+        reason = unusable(fix, self.memory.level) if fix.valid else None
+        if reason is not None:
+            self._complaints.append(reason)
+        return fix.valid and reason is None
 
     def _lay(self, level: LocalLevel) -> None:
-        self._level = level
+        self.memory.level = level
         self._gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
 
     def _lose(self) -> None:
@@ -201,14 +229,14 @@ class Kaspar2023Localiser:
         P[moving, :] = P[:, moving] = 0.0
         P[moving, moving] = np.diag(self._start_std[moving] ** 2)
         self._filter.x, self._filter.P = x, P
-        self._heading_known = False
-        self._start_fix = np.zeros((3, 3))
+        self.memory.heading_known = False
+        self.memory.start_fix = np.zeros((3, 3))
         self._wheels.forget()
 
     def _find_heading(self, age_s: float) -> None:
         """Turn the filter's frame so that it has moved as the fixes have."""
-        kalman, (z, variance, reckoned) = self._filter, self._fix
-        start_z, start_variance, start_reckoned = self._start_fix
+        kalman, (z, variance, reckoned) = self._filter, self.memory.fix
+        start_z, start_variance, start_reckoned = self.memory.start_fix
         moved, reckoned_way = (z - start_z)[:2], (reckoned - start_reckoned)[:2]
         way_m, reckoned_m = math.hypot(*moved), math.hypot(*reckoned_way)
         started = start_variance[0] > 0.0
@@ -217,7 +245,7 @@ class Kaspar2023Localiser:
         if started and waiting and not standing:
             return
         if not started or standing or abs(way_m - reckoned_m) > AGREEMENT * reckoned_m:
-            self._start_fix = self._fix.copy()
+            self.memory.start_fix = self.memory.fix.copy()
             return
         x, P = kalman.x.copy(), kalman.P.copy()
         x[Ix.YAW, 0] += math.atan2(moved[1], moved[0]) - math.atan2(*reckoned_way[::-1])
@@ -227,18 +255,23 @@ class Kaspar2023Localiser:
             P[slot, slot] = known
         P[Ix.YAW, Ix.YAW] += (variance[0] + start_variance[0]) / way_m**2
         kalman.x, kalman.P = x, P
-        self._heading_known = True
+        self.memory.heading_known = True
 
     # Steps ---------------------------------------------------------------------------------------
-    def _advance(self, dt_s: float) -> None:
+    def _advance(self, stamp_ns: int) -> None:
         """Predict in steps of about `STEP_S`; over too long a gap nothing is known."""
+        dt_s, self.memory.stamp_ns = (stamp_ns - self.memory.stamp_ns) / S, stamp_ns
+        before = self._pose()
         if dt_s > MAX_GAP_S:
-            self._complaints.append(f"{dt_s:.1f} s without inertial data: the heading is lost")
+            self._complaints.append(HEADING_LOST(silence_s=dt_s, limit_s=MAX_GAP_S))
             self._lose()
             return
         steps = max(1, round(dt_s / STEP_S))
         for _ in range(steps):
             self._filter.predict(dt_s=dt_s / steps)
+        if self._trail is not None:
+            self._trail.carry(before, self._pose())
+            self._trail.pass_by(stamp_ns)
 
     def _reading(self, mean: ImuMean) -> Array:
         """(f_x, ω_v), shape (4, 1)."""
@@ -256,7 +289,7 @@ class Kaspar2023Localiser:
     def _take_wheels(self, odometry: Odometry) -> list[Verdict]:
         reading = self._wheels.read(odometry)
         if isinstance(reading, Refused):
-            self._complaints.append(reading.reason)
+            self._complaints.append(reading.why)
         if not isinstance(reading, Reading):
             return []
         self._filter.update(
@@ -270,15 +303,15 @@ class Kaspar2023Localiser:
         return _verdicts(self._filter, reading.names)
 
     def _take_fix(self, fix: GnssFix) -> list[Verdict]:
-        assert self._level is not None  # laid at the first fix
-        z = np.array(antenna_l(fix, self._level))
+        assert self.memory.level is not None  # laid at the first fix
+        z = np.array(antenna_l(fix, self.memory.level))
         level_std, up_std = deviations(fix, self._floor_m)
         variance = np.array((level_std, level_std, up_std)) ** 2
-        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        age_s = (self.memory.stamp_ns - fix.stamp_ns) / S
         arguments = (self._p_va_v, age_s)
         reckoned = model.antenna(self._filter.x, *arguments)[:, 0]
-        self._fix, self._fix_ns = np.array((z, variance, reckoned)), fix.stamp_ns
-        if not self._heading_known:
+        self.memory.fix, self.memory.fix_ns = np.array((z, variance, reckoned)), fix.stamp_ns
+        if not self.memory.heading_known:
             self._find_heading(age_s)
             return []
         self._filter.update(
@@ -297,13 +330,13 @@ class Kaspar2023Localiser:
     ) -> Estimate:
         x = kalman.x[:, 0].tolist()
         covariance = kalman.P.take(_MOTION_IN_P).reshape(7, 7)
-        age_s = (stamp_ns - self._fix_ns) / S
+        age_s = (stamp_ns - self.memory.fix_ns) / S
         speed = x[Ix.SPEED]
-        if self._heading_known:
+        if self.memory.heading_known:
             p_l = x[Ix.EAST], x[Ix.NORTH], x[Ix.UP]
             mode = MotionState.TRACKING if age_s <= OUTAGE_S else MotionState.DEAD_RECKONING
         else:
-            (east, north, up), variance, _ = self._fix.tolist()
+            (east, north, up), variance, _ = self.memory.fix.tolist()
             p_l, mode = (east, north, up), MotionState.HEADING_UNKNOWN
             covariance[:3, :] = covariance[:, :3] = 0.0
             covariance[:3, :3] = np.diag(variance) + np.eye(3) * (speed * age_s) ** 2
@@ -322,64 +355,33 @@ class Kaspar2023Localiser:
         )
 
     def learned(self) -> list[Learned]:
-        """See `tramstream.estimation.localiser.Localiser`."""
+        """See `Localiser`."""
         x, P = self._filter.x, self._filter.P
         return [
             Learned(name, float(x[slot, 0]), math.sqrt(max(P[slot, slot], 0.0)), unit)
             for slot, name, unit in _NAMES
         ]
 
-    def complaints(self) -> list[str]:
+    def complaints(self) -> list[Event]:
         """See `tramstream.estimation.localiser.Localiser`."""
         found, self._complaints = self._complaints, []
         return found
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
-        """See `tramstream.estimation.localiser.Localiser`."""
-        level = self._level
-        return {
-            "x": self._filter.x.copy(),
-            "P": self._filter.P.copy(),
-            "origin": [level.latitude_rad, level.longitude_rad, level.height_m] if level else None,
-            "stamp_ns": self._stamp_ns,
-            "heading_known": self._heading_known,
-            "fix": self._fix.copy(),
-            "start_fix": self._start_fix.copy(),
-            "fix_ns": self._fix_ns,
-            "wheels": to_plain(self._wheels.memory),
-            "ahead": to_plain(self._ahead.memory),
-            "complaints": list(self._complaints),
-        }
+        """See `Localiser`."""
+        memory = self.memory
+        memory.x, memory.P = self._filter.x, self._filter.P
+        return to_plain(memory)
 
     def restore(self, state: State) -> None:
-        """See `tramstream.estimation.localiser.Localiser`."""
-        self._filter.x, self._filter.P = state["x"].copy(), state["P"].copy()
-        self._level = None
-        if state["origin"] is not None:
-            self._lay(LocalLevel(*state["origin"]))
-        self._stamp_ns, self._fix_ns = state["stamp_ns"], state["fix_ns"]
-        self._heading_known = state["heading_known"]
-        self._fix, self._start_fix = state["fix"].copy(), state["start_fix"].copy()
-        assign(self._wheels.memory, from_plain(PairMemory, state["wheels"]))
-        assign(self._ahead.memory, from_plain(AheadMemory, state["ahead"]))
-        self._complaints = list(state["complaints"])
-
-
-def _start_std(vehicle: Vehicle) -> Array:
-    """Deviations of all states of a vehicle that stands, place and heading being arbitrary."""
-    imu, wheels = vehicle.imu, vehicle.wheels
-    assert imu is not None  # the localiser has looked
-    std = np.zeros(SIZE)
-    std[Ix.SPEED] = START_SPEED_STD_MPS
-    std[Ix.ACCELERATION] = model.LARGE_ACCELERATION_MPS2
-    std[Ix.PITCH] = START_PITCH_STD_RAD
-    std[Ix.RATE_X : Ix.RATE_Z + 1] = model.LARGE_RATE_RADPS
-    std[Ix.ACCEL_SCALE : Ix.GYRO_SCALE_Z + 1] = SCALE_STD
-    std[Ix.ACCEL_WALK] = imu.accel_bias_std_mps2
-    std[Ix.GYRO_WALK_X : Ix.GYRO_WALK_Z + 1] = imu.gyro_bias_std_radps
-    std[Ix.WHEEL_LEFT] = std[Ix.WHEEL_RIGHT] = wheels.scale_std * MESSAGE_S / wheels.m_per_pulse
-    return std
+        """See `Localiser`."""
+        memory = self.memory
+        assign(memory, from_plain(LocaliserMemory, state))
+        self._filter.x, self._filter.P = memory.x, memory.P
+        if memory.level is not None:
+            self._lay(memory.level)
+        self._complaints = []
 
 
 def _verdicts(kalman: Kaspar2023Filter, names: Sequence[str]) -> list[Verdict]:

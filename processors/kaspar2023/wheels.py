@@ -14,10 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
+from tramstream.events.kinds import Event
 from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.events import WHEELS_JUMPED
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 
 MESSAGE_S = 0.02
@@ -48,7 +51,7 @@ class Reading(NamedTuple):
 class Refused(NamedTuple):
     """Why a message was not used."""
 
-    reason: str
+    why: Event
 
 
 @dataclass
@@ -68,15 +71,17 @@ class WheelPair:
     Parameters
     ----------
     vehicle : tramstream.config.Vehicle
+    memory : PairMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: PairMemory | None = None) -> None:
         configured = vehicle.odometer.wheels if vehicle.odometer is not None else {}
         self._sides = {name: wheel.side or name for name, wheel in configured.items()}
         self._m_per_pulse = vehicle.wheels.m_per_pulse
         self._half_track_m = vehicle.wheels.track_m / 2.0
         self._speed_std_mps = vehicle.wheels.speed_std_mps
-        self.memory = PairMemory()
+        self.memory = PairMemory() if memory is None else memory
 
     @property
     def pulses_per_mps(self) -> float:
@@ -102,7 +107,8 @@ class WheelPair:
         longest_s = max(interval_s, MESSAGE_S)  # stamps that jitter together are no reset
         most = max(counts, key=abs)
         if abs(most) * self._m_per_pulse > MAX_SPEED_MPS * longest_s:
-            return Refused(f"wheels jumped by {most} pulses in {interval_s:.3f} s")
+            facts = {"interval_s": interval_s, "limit_mps": MAX_SPEED_MPS}
+            return Refused(WHEELS_JUMPED(key=keys.ODO_WHEELS.path, pulses=most, **facts))
         scale = MESSAGE_S / self._regular_s(interval_s)
         return self._reading([count * scale for count in counts], QUANTISATION * scale**2)
 

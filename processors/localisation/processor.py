@@ -5,42 +5,67 @@ carried on to the newest inertial mean, a few milliseconds old, for whoever cann
 does the work is `ekf.model`; this module owns messages, numbering, protection levels and what is
 said in health.
 
-With a map, each state is matched to a track in the same step, and the filter is put onto that track
-where no doubt is left: what comes back belongs to this very state, in every host.
+It knows no network. Where somebody says which track the vehicle is on (`map/matcher/track`), the
+filter is put onto it where no doubt is left, at a stated delay that is the same in every host
+(`delayed.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import cast
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.config import Ekf, Vehicle
+from tramstream.config import MATCHER, Ekf, Vehicle, takes_track
+from tramstream.estimation import events as fix_events
 from tramstream.estimation.localiser import Estimate, Localiser
 from tramstream.estimation.published import Places, PlacesMemory
-from tramstream.memory.stage import assign, from_plain, to_plain
-from tramstream.processor import Processor, Sample, State
-from tramstream.processors.localisation.matching import Matched, location_of
+from tramstream.estimation.track import CERTAIN, in_level
+from tramstream.events import declared
+from tramstream.keys import Key
+from tramstream.processor import Ledger, Processor, Sample, State
+from tramstream.processors.kaspar2023 import events as kaspar2023_events
+from tramstream.processors.localisation import events as own_events
+from tramstream.processors.localisation.delayed import Delayed, DelayedMemory, Late
+from tramstream.processors.localisation.events import MAP_UNMATCHED, TRACK_UNHEARD
 from tramstream.processors.localisation.models import localiser, traced
+from tramstream.processors.tram import events as tram_events
 from tramstream.processors.tram.smoother import smooth
 from tramstream.processors.tram.trace import Trace, Tracer
-from tramstream.proto.estimate_pb2 import FilterParameters, MapMatch, MotionState, Parameter
-from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter, TrackGeometry
+from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 
 LOCATION_EVERY = 10
 """Of the states for now: viewers draw maps at 10 Hz."""
-REPEAT_S = 10.0
-"""The same sentence is said again only after so long."""
 MARGIN = 1.25
 """Protection levels over the quantile of the normal distribution: the filter's own covariance has
 an error, and errors of GNSS have heavier tails."""
-LOG = keys.LOG.at("ekf")
+UNHEARD_M = 100.0
+"""Way after which it is said that nothing is heard of the track any more: longer than any doubt
+behind a switch."""
 _KNOWN = LocationFix.PositionCovarianceType.KNOWN
+
+
+@dataclass
+class LocalisationMemory:
+    """What the localisation filter remembers, apart from what its model does."""
+
+    second: int = 0
+    now_count: int = 0
+    now_ns: int = 0
+    """Stamp of the last state for now."""
+    last: tuple[int, float] | None = None
+    """Stamp and height of the last state."""
+    unheard_m: float | None = None
+    """Way since the track was heard of; None: never."""
+    delayed: DelayedMemory = field(default_factory=DelayedMemory)
+    places: PlacesMemory | None = None
+    """None before the first state."""
 
 
 class LocalisationFilter(Processor):
@@ -49,18 +74,19 @@ class LocalisationFilter(Processor):
     name = "ekf"
     offline = (keys.EST_SMOOTHED,)
     Settings = Ekf
-    inputs = (keys.SYNC_FRAME,)
+    inputs: tuple[Key, ...] = (keys.SYNC_FRAME,)
     outputs = (
         keys.EST_STATE,
         keys.EST_NOW,
         keys.EST_LOCATION,
         keys.EST_PARAMETERS,
-        keys.MAP_MATCH,
-        keys.MAP_LOCATION,
-        LOG,
+        keys.EST_LATE,
     )
+    events = declared(own_events, fix_events, tram_events, kaspar2023_events)
     pacing = (keys.SYNC_FRAME,)
     demanding = True
+    Memory = LocalisationMemory
+    memory: LocalisationMemory
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
@@ -70,15 +96,20 @@ class LocalisationFilter(Processor):
         self._quantile = MARGIN * NormalDist().inv_cdf(1.0 - risk / 4.0)
         self.localiser: Localiser = localiser(vehicle)
         self._places: Places | None = None
-        self._map = Matched(vehicle) if vehicle.map is not None else None
-        self._match_count = 0
-        self._second = 0
-        self._said: dict[str, int] = {}
-        self._now_count = 0
-        self._now_ns = 0  # stamp of the last state for now
+        self._delayed: Delayed | None = None
+        if takes_track(vehicle):
+            self.inputs = (keys.SYNC_FRAME, keys.MAP_TRACK)
+            self._delayed = Delayed(vehicle.ekf.track_delay_s, self.memory.delayed)
+        self._late_recorded: Late | None = None
+        self._unmatched = vehicle.map is not None and MATCHER not in vehicle.processors
         self._tracer: Tracer | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
+        if sample.key.path != keys.SYNC_FRAME.path:
+            return self._hear(sample)
+        if self._delayed is not None:
+            for geometry in self._delayed.due(sample.stamp_ns):
+                self._follow(geometry)
         made = self._take(sample)
         made += self._now(sample.message)
         return made
@@ -89,18 +120,18 @@ class LocalisationFilter(Processor):
         for mean in means:
             self.localiser.see(mean)
         estimate = self.localiser.ahead() if means else None
-        if estimate is None or estimate.stamp_ns == self._now_ns:
+        if estimate is None or estimate.stamp_ns == self.memory.now_ns:
             return []
         message = self._message(estimate, self._here())
         if message is None:
             return []
-        self._now_ns = estimate.stamp_ns
-        location = _location(message) if self._now_count % LOCATION_EVERY == 0 else None
+        self.memory.now_ns = estimate.stamp_ns
+        location = _location(message) if self.memory.now_count % LOCATION_EVERY == 0 else None
         message.ClearField("covariance")  # half of what a record held, and in `EST_STATE` as well
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if location is not None:
             made.append(self.emit(keys.EST_LOCATION, location, estimate.stamp_ns))
-        self._now_count += 1
+        self.memory.now_count += 1
         return made
 
     def _take(self, sample: Sample) -> list[Sample]:
@@ -110,37 +141,66 @@ class LocalisationFilter(Processor):
             message = self._message(estimate, self._here())
             if message is not None:
                 made.append(self.emit(keys.EST_STATE, message, estimate.stamp_ns))
-                if self._map is not None:
-                    made += self._match(self._map, estimate)
+                if self._delayed is not None:
+                    made += self._miss(message)
             else:
                 made += self._start_again(sample.stamp_ns)
         second = sample.stamp_ns // S
-        if second != self._second:
-            self._second = second
+        if second != self.memory.second:
+            self.memory.second = second
             made += self._learned(sample.stamp_ns)
-        for sentence in self.localiser.complaints():
-            made += self._say(sentence, sample.stamp_ns)
+            made += self.overdue_events(sample.stamp_ns)
+        for event in self.localiser.complaints():
+            made += self.raise_event(event, sample.stamp_ns)
         return made
 
-    def _match(self, with_map: Matched, estimate: Estimate) -> list[Sample]:
-        """Find the track, and put the filter onto it where there is no doubt left."""
-        level = self.localiser.level
-        assert level is not None  # there is an estimate
-        found = with_map.take(estimate, level)
-        made = []
-        if found is not None:
-            match, on_track = found
-            stamp_ns = estimate.stamp_ns
-            if on_track is not None:
-                self.localiser.constrain(on_track)
-            made.append(self.emit(keys.MAP_MATCH, match, stamp_ns))
-            if self._match_count % LOCATION_EVERY == 0 and match.state == MapMatch.ON_TRACK:
-                made.append(self.emit(keys.MAP_LOCATION, location_of(match), stamp_ns))
-            self._match_count += 1
-        for sentence in with_map.complaints:
-            made += self._say(sentence, estimate.stamp_ns)
-        with_map.complaints.clear()
-        return made
+    # The track -----------------------------------------------------------------------------------
+    def _hear(self, sample: Sample) -> list[Sample]:
+        """Let geometry wait for its frame, or name it if that has gone by."""
+        late = self._delayed.take(sample) if self._delayed is not None else None
+        if late is None:
+            return []
+        named = LateSample()
+        named.CopyFrom(late)
+        if self._late_recorded is not None:  # with the number that it had live
+            self._next_sequence[keys.EST_LATE.path] = late.sequence
+        return [self.emit(keys.EST_LATE, named, sample.stamp_ns)]
+
+    def _follow(self, geometry: TrackGeometry) -> None:
+        """Put the filter onto the track, where there is no doubt left."""
+        level, last = self.localiser.level, self.memory.last
+        self.memory.unheard_m = 0.0
+        if geometry.probability >= CERTAIN and level is not None and last is not None:
+            track = in_level(geometry, level, last[1])
+            if track is not None:
+                self.localiser.follow(track)
+
+    def _miss(self, state: MotionState) -> list[Sample]:
+        """Notice that nothing is heard of the track any more, or never will be."""
+        memory, stamp_ns, last = self.memory, state.stamp_ns, self.memory.last
+        memory.last = stamp_ns, state.height_ellipsoid_m
+        if last is None:
+            return self.raise_event(MAP_UNMATCHED(), stamp_ns) if self._unmatched else []
+        if memory.unheard_m is None or memory.unheard_m > UNHEARD_M:
+            return []
+        memory.unheard_m += abs(state.speed_mps) * (stamp_ns - last[0]) / S
+        if memory.unheard_m <= UNHEARD_M:
+            return []
+        return self.raise_event(TRACK_UNHEARD(way_m=memory.unheard_m, limit_m=UNHEARD_M), stamp_ns)
+
+    @property
+    def late_recorded(self) -> Late | None:
+        """See `tramstream.processor.Ordering`."""
+        return self._late_recorded
+
+    @late_recorded.setter
+    def late_recorded(self, late: Late | None) -> None:
+        self._late_recorded = late
+        if self._delayed is not None:
+            self._delayed.repeat(late)
+
+    def ledgers(self) -> list[Ledger]:
+        return [] if self._delayed is None else [self._delayed.ledger]
 
     def _start_again(self, stamp_ns: int) -> list[Sample]:
         """Nothing that is no number is ever published; the filter begins anew."""
@@ -149,8 +209,8 @@ class LocalisationFilter(Processor):
         else:
             self._tracer.restarted()
             self.localiser = traced(self._vehicle, self._tracer)
-        self._places = None
-        return self._say("the filter's state was no number; it starts again", stamp_ns)
+        self._places = self.memory.places = None
+        return self.raise_event(own_events.NO_NUMBER(), stamp_ns)
 
     def _learned(self, stamp_ns: int) -> list[Sample]:
         learned = self.localiser.learned()
@@ -165,20 +225,12 @@ class LocalisationFilter(Processor):
         )
         return [self.emit(keys.EST_PARAMETERS, message, stamp_ns)]
 
-    def _say(self, sentence: str, stamp_ns: int) -> list[Sample]:
-        last_ns = self._said.get(sentence)
-        if last_ns is not None and stamp_ns - last_ns < REPEAT_S * S:
-            return []
-        self._said[sentence] = stamp_ns
-        self._said = {text: ns for text, ns in self._said.items() if stamp_ns - ns < REPEAT_S * S}
-        log = Log(level=Log.Level.WARNING, message=sentence, name=self.name)
-        return [self.emit(LOG, log, stamp_ns)]
-
     def _here(self) -> Places:
         level, places = self.localiser.level, self._places
         assert level is not None  # there is an estimate
         if places is None or places.level is not level:
             places = self._places = Places(level)
+            self.memory.places = places.memory
         return places
 
     def _message(self, estimate: Estimate, places: Places) -> MotionState | None:
@@ -224,31 +276,17 @@ class LocalisationFilter(Processor):
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "localiser": self.localiser.snapshot(),
-            "second": self._second,
-            "said": dict(self._said),
-            "map": None if self._map is None else self._map.snapshot(),
-            "match_count": self._match_count,
-            "now_count": self._now_count,
-            "now_ns": self._now_ns,
-            "places": None if self._places is None else to_plain(self._places.memory),
-        }
+        return {**super().snapshot(), "localiser": self.localiser.snapshot()}
 
     def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
         self.localiser.restore(state["localiser"])
-        self._second, self._said = state["second"], dict(state["said"])
-        self._now_count, self._now_ns = state["now_count"], state["now_ns"]
+        super().restore(state)
+
+    def restored(self) -> None:
         self._places = None
-        level = self.localiser.level
-        self._match_count = state["match_count"]
-        if self._map is not None and state["map"] is not None:
-            self._map.restore(state["map"], level)
-        if state["places"] is not None and level is not None:
-            self._places = Places(level)
-            assign(self._places.memory, from_plain(PlacesMemory, state["places"]))
+        level, places = self.localiser.level, self.memory.places
+        if places is not None and level is not None:
+            self._places = Places(level, places)
 
 
 def _location(state: MotionState) -> LocationFix:

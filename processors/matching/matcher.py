@@ -9,14 +9,15 @@ directions. A vehicle that leaves the map is said to be off it, and looked for a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from tramstream.clock import S
 from tramstream.config import Map
-from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate, OnTrack
-from tramstream.processor import State
+from tramstream.estimation.kalman import Array
+from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching import step as steps
 from tramstream.tracks.map_frame import MapFrame
@@ -31,7 +32,7 @@ WRONG_WAY = 1e-4
 HEADS_RAD = math.radians(60.0)
 """No vehicle heads so far off its track, whatever its filter believes at first."""
 GAP_S = 1.0
-"""After a longer silence tracks are looked for anew: nobody knows which way was gone."""
+"""After a longer silence of a filter tracks are looked for anew: who knows which way was gone."""
 AGAIN_S = 1.0
 AGAIN_M = 10.0
 """Tracks are looked for again after so long without a heading, after so long a way off the map."""
@@ -52,6 +53,27 @@ class Candidate(NamedTuple):
     probability: float
 
 
+class Circle(NamedTuple):
+    """The track near the vehicle, in the plan; see the message `TrackGeometry`."""
+
+    run: int
+    """In the direction of the vehicle's x axis."""
+    chainage_m: float
+    probability: float
+    east: float
+    north: float
+    yaw_rad: float
+    curvature_per_m: float
+    across_variance: float
+    yaw_variance: float
+    curvature_variance: float
+    grade_rad: float
+    """NaN where the map does not know."""
+    grade_variance: float
+    ahead_m: float
+    behind_m: float
+
+
 class Match(NamedTuple):
     """What the matcher says at one instant."""
 
@@ -65,10 +87,31 @@ class Match(NamedTuple):
     north: float
     """Of the place on the track, in the plan, m."""
     others: tuple[Candidate, ...]
-    on_track: OnTrack | None
-    """For the filter, where no doubt is left."""
+    circle: Circle | None
+    """Once a metre, while the vehicle moves and its heading is known."""
     headed: bool
     """Whether the vehicle's heading is known: before, the direction of a run is a guess."""
+
+
+def _no_hypotheses() -> Array:
+    numbers = np.zeros(kernels.MEMORY)
+    numbers[kernels.SYNCED], numbers[kernels.DIRECTION] = kernels.NONE, 1.0
+    return numbers
+
+
+@dataclass
+class HypothesesMemory:
+    """What a `Matcher` remembers."""
+
+    numbers: Array = field(default_factory=_no_hypotheses)
+    """See `hypotheses`."""
+    stamp_ns: int = 0
+    looked_ns: int = 0
+    way_m: float = 0.0
+    """Since tracks were looked for."""
+    headed: bool = False
+    guessed: bool = False
+    """The direction of travel."""
 
 
 class Matcher:
@@ -84,8 +127,8 @@ class Matcher:
         The vehicle's origin before the point that follows the rails.
     lever_m : float
         How far the antenna is from the vehicle's origin, in plan.
-    corrects : bool
-        Whether `Match.on_track` goes back into the filter that the estimates are of.
+    gap_s : float
+        After a longer silence tracks are looked for anew.
     """
 
     def __init__(
@@ -95,26 +138,20 @@ class Matcher:
         forget_s: float = FORGET_S,
         pivot_m: float = 0.0,
         lever_m: float = 0.0,
-        corrects: bool = True,
+        gap_s: float = GAP_S,
     ) -> None:
         self.network = network
         self._rails = rails_of(network)
         self._names: dict[int, str] = {}
         self._search = Search(network)
-        self._corrects = corrects
-        self.memory = np.zeros(kernels.MEMORY)
-        self.memory[kernels.SYNCED] = kernels.NONE
-        self.memory[kernels.DIRECTION] = 1.0
+        self._gap_s = gap_s
+        self.remembered = HypothesesMemory()
+        self.memory = self.remembered.numbers
         self._constants = np.array(
             [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
         )
         self._motion = np.zeros(kernels.MOTION)
         self._out = np.zeros(steps.OUT)
-        self._stamp_ns = 0
-        self._looked_ns = 0
-        self._way_m = 0.0  # since tracks were looked for
-        self._headed = False
-        self._guessed = False  # the direction of travel
 
     @property
     def rails(self) -> Rails:
@@ -138,6 +175,11 @@ class Matcher:
         """See `east`."""
         return float(self._motion[kernels.NORTH])
 
+    @property
+    def yaw_rad(self) -> float:
+        """See `east`."""
+        return float(self._motion[kernels.YAW])
+
     def away_m(self) -> float:
         """How far the last estimate is from the nearest track."""
         return self._search.away_m(self.east, self.north)
@@ -147,24 +189,27 @@ class Matcher:
         """How many there are."""
         return int(self.memory[kernels.COUNT])
 
-    def step(self, estimate: Estimate, frame: MapFrame) -> Match | None:
+    def step(self, estimate: Estimate, frame: MapFrame, held: bool = False) -> Match | None:
         """Take an estimate; None while nothing is known.
 
         Parameters
         ----------
         frame : MapFrame
             Between the estimate's frame `l` and the network's plan; moved along.
+        held : bool
+            Whether the filter that the estimate is of is held to `Match.circle`: then it knows by
+            itself what the map tells.
         """
         if estimate.mode == STARTING:
             return None
         frame.follow(*estimate.p_l)
         z = self._motion
-        dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        dt = (estimate.stamp_ns - self.remembered.stamp_ns) / S if self.remembered.stamp_ns else 0.0
         headed = estimate.mode != HEADING_UNKNOWN
-        gap = dt > GAP_S
-        z[kernels.STEP] = min(max(dt, 0.0), GAP_S)
+        gap = dt > self._gap_s
+        z[kernels.STEP] = min(max(dt, 0.0), self._gap_s)
         z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
-        self._stamp_ns = estimate.stamp_ns
+        self.remembered.stamp_ns = estimate.stamp_ns
         steps.advance(
             self.memory,
             self._rails,
@@ -176,10 +221,8 @@ class Matcher:
         )
         if self._due(estimate, headed) or gap:
             self._look(headed)
-            steps.summary(
-                self.memory, self._rails, z, self._constants, frame.numbers, False, self._out
-            )
-        if not self._corrects:
+            steps.summary(self.memory, self._rails, z, self._constants, False, self._out)
+        if not held:
             self.memory[kernels.SYNCED] = kernels.NONE
         return self._match(headed)
 
@@ -187,28 +230,28 @@ class Matcher:
     def _due(self, estimate: Estimate, headed: bool) -> bool:
         """Whether tracks are to be looked for."""
         z = self._motion
-        if headed != self._headed:
-            self._headed = headed
+        if headed != self.remembered.headed:
+            self.remembered.headed = headed
             return True
         if not headed:
-            return estimate.stamp_ns - self._looked_ns >= AGAIN_S * S
-        if self._guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
-            self._guessed = False
+            return estimate.stamp_ns - self.remembered.looked_ns >= AGAIN_S * S
+        if self.remembered.guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
+            self.remembered.guessed = False
             return bool(z[kernels.SPEED] * self.memory[kernels.DIRECTION] < 0.0)
         if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
             return False
-        self._way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
-        return self._way_m >= AGAIN_M
+        self.remembered.way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
+        return self.remembered.way_m >= AGAIN_M
 
     def _look(self, headed: bool) -> None:
         """Begin anew with all tracks near the estimate."""
         z, memory = self._motion, self.memory
-        self._looked_ns, self._way_m = self._stamp_ns, 0.0
+        self.remembered.looked_ns, self.remembered.way_m = self.remembered.stamp_ns, 0.0
         memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
         memory[kernels.SYNCED] = kernels.NONE
         speed = z[kernels.SPEED]
-        self._guessed = abs(speed) <= MOVES_MPS
-        if not self._guessed:
+        self.remembered.guessed = abs(speed) <= MOVES_MPS
+        if not self.remembered.guessed:
             memory[kernels.DIRECTION] = math.copysign(1.0, speed)
         std = math.sqrt(max(z[kernels.P_EE], z[kernels.P_NN], 0.0))
         radius = min(SEARCH_STDS * std + SEARCH_MORE_M, SEARCH_MOST_M)
@@ -241,7 +284,10 @@ class Matcher:
         others = tuple(self._other(out, k) for k in range(int(out[steps.OTHERS])))
         if best < 0.0 or off > LOST:
             return Match(-1, 0.0, 0.0, 0.0, off, 0.0, 0.0, others, None, headed)
-        on_track = OnTrack(*out[steps.CERTAINLY + 1 : steps.OUT]) if out[steps.CERTAINLY] else None
+        circle = None
+        if out[steps.TOLD]:
+            told = out[steps.TOLD + 1 : steps.OUT]
+            circle = Circle(int(told[0]), *told[1:])
         return Match(
             int(out[steps.EDGE]),
             out[steps.EDGE_CHAINAGE],
@@ -251,7 +297,7 @@ class Matcher:
             out[steps.MATCHED_EAST],
             out[steps.MATCHED_NORTH],
             others,
-            on_track,
+            circle,
             headed,
         )
 
@@ -263,20 +309,3 @@ class Matcher:
         if self.memory[kernels.DIRECTION] > 0.0:
             return Candidate(int(run), s, probability)
         return Candidate(int(run) ^ 1, length - s, probability)
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> State:
-        return {
-            "memory": self.memory.copy(),
-            "stamp_ns": self._stamp_ns,
-            "looked_ns": self._looked_ns,
-            "way_m": self._way_m,
-            "headed": self._headed,
-            "guessed": self._guessed,
-        }
-
-    def restore(self, state: State) -> None:
-        self.memory[:] = state["memory"]
-        self._stamp_ns, self._looked_ns = state["stamp_ns"], state["looked_ns"]
-        self._way_m, self._headed = state["way_m"], state["headed"]
-        self._guessed = state["guessed"]

@@ -89,7 +89,7 @@ class PathFinder:
 
     def __init__(self, network: Network, settings: Map, forget_s: float = FORGET_S) -> None:
         self._network = network
-        self._matcher = Matcher(network, settings, forget_s, corrects=False)
+        self._matcher = Matcher(network, settings, forget_s)
         self._came_from: dict[int, tuple[int, int, int]] = {}  # lineage: parent, run, step
         self._stamps: list[int] = []
         self._plan: list[tuple[float, float]] = []

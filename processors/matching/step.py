@@ -1,7 +1,7 @@
 """A step of the map matcher, compiled: hypotheses move, are weighed, and divide where rails branch.
 
 What comes out is put together here too: the likeliest run with its probability, others beside it,
-and, where no doubt is left, by how much the filter's estimate is off the rails.
+and once a metre the track near the vehicle as a circle, for a localisation filter.
 
 Equations: docs/theory.md, sections 11.5 and 11.6.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from tramstream.estimation import track
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.processors.matching.hypotheses import (
     AHEAD,
@@ -21,13 +22,13 @@ from tramstream.processors.matching.hypotheses import (
     EAST,
     END,
     HEADED,
+    HEADING_LENGTH,
     MOST,
     NEXT,
     NONE,
     NORTH,
     OFF,
     OWN,
-    ROTATION,
     RUN,
     STANDING,
     SYNCED,
@@ -47,11 +48,15 @@ from tramstream.processors.matching.hypotheses import (
 )
 from tramstream.tracks.rails import Rails, beside, place, sample_at
 
+CERTAIN = track.CERTAIN
 HORIZON_M, HORIZON_MOST_M = 8.0, 60.0
 HORIZON_STDS = 3.0
 """So far ahead of where the vehicle may be a hypothesis is divided."""
-CERTAIN = 0.995
-"""A filter is put onto rails that are so likely."""
+LIKELY = 0.5
+"""The track is told from this probability on; from what it is believed on, who is told knows."""
+DEPARTS_M, STEP_M, FARTHEST_M, NEAREST_M = 0.1, 2.0, 50.0, 1.0
+"""A circle stands for the track until that departs from it by so much, looked at in such steps, no
+farther, and a metre at least, by which tracks that meet may miss each other."""
 ALTERNATIVES = 4
 CURVES = 3.0
 """Variances of a map's headings are so much larger to a filter: curves are where maps are wrong the
@@ -70,20 +75,25 @@ OTHER = 4
     ALONG_STD,
     MATCHED_EAST,
     MATCHED_NORTH,
-    CERTAINLY,
-    NORMAL_EAST,
-    NORMAL_NORTH,
-    ACROSS,
-    YAW_OFF,
-    BEND,
+    TOLD,
+    TOLD_RUN,
+    TOLD_CHAINAGE,
+    TOLD_PROBABILITY,
+    TOLD_EAST,
+    TOLD_NORTH,
+    TOLD_YAW,
+    CURVATURE,
     ACROSS_VARIANCE,
     YAW_VARIANCE,
+    CURVATURE_VARIANCE,
     GRADE,
     GRADE_VARIANCE,
-) = range(OTHER + 3 * ALTERNATIVES, OTHER + 3 * ALTERNATIVES + 15)
+    AHEAD_M,
+    BEHIND_M,
+) = range(OTHER + 3 * ALTERNATIVES, OTHER + 3 * ALTERNATIVES + 20)
 """the run in the direction of motion, chainage along it, deviation; matched place in the plan; 1 if
-what follows is there, see `tramstream.estimation.localiser.OnTrack`."""
-OUT = GRADE_VARIANCE + 1
+what follows is there, see `matcher.Circle`."""
+OUT = BEHIND_M + 1
 
 
 # Where rails branch ------------------------------------------------------------------------------
@@ -204,12 +214,10 @@ def _rank(M: Array, out: Array) -> None:
 
 
 @compiled
-def summary(
-    M: Array, rails: Rails, z: Array, c: Array, frame: Array, weighed: bool, out: Array
-) -> None:
+def summary(M: Array, rails: Rails, z: Array, c: Array, weighed: bool, out: Array) -> None:
     """Fill `out`."""
     _rank(M, out)
-    out[CERTAINLY] = 0.0
+    out[TOLD] = 0.0
     if out[BEST] < 0.0:
         return
     h = row(M, int(out[BEST]))
@@ -225,43 +233,68 @@ def summary(
     forwards = M[DIRECTION] >= 0.0
     out[EDGE] = run if forwards else run ^ 1
     out[EDGE_CHAINAGE] = inside if forwards else length - inside
-    if weighed and z[HEADED] != 0.0 and z[STANDING] == 0.0 and out[PROBABILITY] >= CERTAIN:
-        _certainly(M, rails, z, c, frame, h, out)
+    if weighed and z[HEADED] != 0.0 and z[STANDING] == 0.0 and out[PROBABILITY] >= LIKELY:
+        _tell(M, rails, z, c, h, out)
 
 
 @compiled
-def _certainly(
-    M: Array, rails: Rails, z: Array, c: Array, frame: Array, h: Array, out: Array
-) -> None:
-    """How far the filter's own estimate is off the rails of a hypothesis."""
-    run = int(h[RUN])
-    s, across, yaw, k = beside(rails, run, h[CHAINAGE], z[EAST], z[NORTH])
+def _tell(M: Array, rails: Rails, z: Array, c: Array, h: Array, out: Array) -> None:
+    """Describe the rails of a hypothesis beside the estimate."""
+    run, probability = int(h[RUN]), out[PROBABILITY]
+    s, _, _, _ = beside(rails, run, h[CHAINAGE], z[EAST], z[NORTH])
     length = rails.length_m[run >> 1]
     if s > length:
-        if h[NEXT] < 0.0 or _share(M, h[RUN], h[NEXT]) < CERTAIN:
+        if h[NEXT] < 0.0:
             return
+        probability = _share(M, h[RUN], h[NEXT])
         run = int(h[NEXT])
-        s, across, yaw, k = beside(rails, run, s - length, z[EAST], z[NORTH])
+        s, _, _, _ = beside(rails, run, s - length, z[EAST], z[NORTH])
     elif s < 0.0 and h[BEFORE] < 0.0:
         return
     elif s < 0.0:
         run = int(h[BEFORE])
-        s, across, yaw, k = beside(rails, run, s + rails.length_m[run >> 1], z[EAST], z[NORTH])
-    yaw_l = yaw - frame[ROTATION]
-    out[CERTAINLY] = 1.0
-    out[NORMAL_EAST], out[NORMAL_NORTH] = -math.sin(yaw_l), math.cos(yaw_l)
-    out[ACROSS], out[YAW_OFF] = across, wrapped(z[YAW] - yaw)
-    out[BEND] = k / max(1.0 - k * across, 0.2)
+        s, _, _, _ = beside(rails, run, s + rails.length_m[run >> 1], z[EAST], z[NORTH])
+    e, n, yaw, k = place(rails, run, s)
+    out[TOLD] = 1.0
+    out[TOLD_RUN], out[TOLD_CHAINAGE], out[TOLD_PROBABILITY] = run, s, probability
+    out[TOLD_EAST], out[TOLD_NORTH], out[TOLD_YAW], out[CURVATURE] = e, n, yaw, k
     var_across, var_yaw = variances(rails, c, run, s)
     share = WEIGHED_M / c[CORRELATION_M]
     out[ACROSS_VARIANCE], out[YAW_VARIANCE] = var_across / share, CURVES * var_yaw / share
+    out[CURVATURE_VARIANCE] = var_yaw / (HEADING_LENGTH * c[CORRELATION_M]) ** 2
     j = sample_at(rails, run, s)
     grade = float(rails.grade[j])
     out[GRADE] = grade if run & 1 == 0 else -grade
     out[GRADE_VARIANCE] = float(rails.grade_std[j]) ** 2 * GRADE_CORRELATION_M / WEIGHED_M
+    out[AHEAD_M] = _reach(rails, run, s, 1.0)
+    out[BEHIND_M] = _reach(rails, run, s, -1.0)
     # A filter that is still on its way onto the rails would be held against them again.
-    if across * across < var_across and out[YAW_OFF] ** 2 < var_yaw:
+    across = math.cos(yaw) * (z[NORTH] - n) - math.sin(yaw) * (z[EAST] - e)
+    off = wrapped(z[YAW] - yaw)
+    if probability >= CERTAIN and across * across < var_across and off * off < var_yaw:
         M[SYNCED] = h[RUN]
+
+
+@compiled
+def _reach(rails: Rails, run: int, s: float, sign: float) -> float:
+    """How far the circle through a place stands for the rails, ahead (sign 1) or behind (−1)."""
+    e, n, yaw, k = place(rails, run, s)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    farthest = min(rails.length_m[run >> 1] - s if sign > 0.0 else s, FARTHEST_M)
+    reach, way = NEAREST_M, STEP_M
+    while way <= farthest:
+        d = sign * way
+        along, left = d, 0.0
+        if abs(k * d) > 1e-9:
+            along, left = math.sin(k * d) / k, (1.0 - math.cos(k * d)) / k
+        there_e, there_n, _, _ = place(rails, run, s + d)
+        de = there_e - (e + cos * along - sin * left)
+        dn = there_n - (n + sin * along + cos * left)
+        if de * de + dn * dn > DEPARTS_M * DEPARTS_M:
+            break
+        reach = way
+        way += STEP_M
+    return reach
 
 
 @compiled
@@ -277,4 +310,4 @@ def advance(
     _branch(M, rails, z)
     if weighed:
         tidy(M)
-    summary(M, rails, z, c, frame, weighed, out)
+    summary(M, rails, z, c, weighed, out)

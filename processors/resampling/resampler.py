@@ -275,7 +275,7 @@ def _taps(vehicle: Vehicle) -> Array:
     half_hz = rate_hz / config.factor / 2.0
     if config.cutoff_hz >= half_hz:
         raise ConfigError(
-            f"$.resampler.cutoff_hz: {config.cutoff_hz:g} Hz is not below half the output rate; "
-            f"$.imu.rate_hz and $.resampler.factor leave {half_hz:g} Hz"
+            f"$.resampler.cutoff_hz: {config.cutoff_hz:g} Hz is not below half the output rate",
+            cure=f"$.imu.rate_hz and $.resampler.factor leave {half_hz:g} Hz",
         )
     return lowpass_taps(config.factor, rate_hz, config.cutoff_hz)

@@ -14,17 +14,37 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import FASTEST_MPS, antenna_l, deviations, velocity_l
+from tramstream.estimation.fixes import (
+    FASTEST_MPS,
+    UNSTATED_STD_M,
+    antenna_l,
+    deviations,
+    velocity_l,
+)
 from tramstream.estimation.localiser import Verdict
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
+from tramstream.processors.tram.events import (
+    ACCURACY_UNSTATED,
+    ERROR_TAKEN,
+    FIRST_FIXES_WRONG,
+    FIX_REFUSED,
+    IMPOSSIBLE_VELOCITY,
+    NO_HOPE,
+    POSITION_TAKEN,
+    VELOCITY_REFUSED,
+)
 from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
+from tramstream.processors.tram_model.gnss_position import DOUBT_STD_M, GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
+from tramstream.processors.tram_model.measurement import PAIR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
+_KEY = keys.GNSS_FIX.path
 WHITE_SHARE = 0.1
 """Part of the deviation that neighbouring fixes do not share."""
 WHITE_FLOOR_M = 0.01
@@ -81,13 +101,14 @@ def speed_over_ground(
     return max(0.0, math.hypot(b[0] - a[0], b[1] - a[1]) - noise_m) / dt_s
 
 
-def doubts(fix: GnssFix, level: LocalLevel) -> list[str]:
-    """Sentences on what is taken of a usable fix for less than it claims to be."""
+def doubts(fix: GnssFix, level: LocalLevel) -> list[Event]:
+    """What is taken of a usable fix for less than it claims to be."""
     found = []
     if not (math.isfinite(fix.horizontal_std_m) and fix.horizontal_std_m > 0.0):
-        found.append("a fix without a usable accuracy was taken for a poor one")
+        found.append(ACCURACY_UNSTATED(key=_KEY, taken_m=UNSTATED_STD_M))
     if fix.HasField("vel_e_mps") and velocity_l(fix, level) is None:
-        found.append("a fix's velocity that cannot be was left out")
+        speed_mps = math.hypot(fix.vel_e_mps, fix.vel_n_mps)
+        found.append(IMPOSSIBLE_VELOCITY(key=_KEY, speed_mps=speed_mps, limit_mps=FASTEST_MPS))
     return found
 
 
@@ -109,6 +130,16 @@ class FixesMemory:
     """When the position was taken from the fixes."""
 
 
+def _refused(ekf: TramFilter, doubt: float) -> tuple[float, float]:
+    """How far off what the filter has just refused was, and how far it may be that way."""
+    (a, b), ((first, cross), (_, second)) = ekf.y[:, 0].tolist(), ekf.S.tolist()
+    first, second = first + doubt, second + doubt
+    off, determinant = math.hypot(a, b), first * second - cross * cross
+    distance = a * a * second - 2.0 * a * b * cross + b * b * first
+    known = determinant > 0.0 and distance > 0.0
+    return off, off * math.sqrt(PAIR_GATE * determinant / distance) if known else math.nan
+
+
 class Fixes:
     """Feeds fixes to the filter."""
 
@@ -124,9 +155,11 @@ class Fixes:
         return self.memory.accepted_ns
 
     @property
-    def diverged(self) -> bool:
-        """Whether the position has been taken from the fixes again and again."""
-        return len(self.memory.taken_ns) >= DIVERGED_COUNT
+    def diverged(self) -> Event | None:
+        """That the position has been taken from the fixes again and again, if it has."""
+        if len(self.memory.taken_ns) < DIVERGED_COUNT:
+            return None
+        return NO_HOPE(times=DIVERGED_COUNT, within_s=DIVERGED_S)
 
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
@@ -136,8 +169,8 @@ class Fixes:
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
-    ) -> tuple[list[Verdict], str]:
-        """Apply a usable fix; the filter is at its stamp. Gives the verdicts, and a sentence."""
+    ) -> tuple[list[Verdict], list[Event]]:
+        """Apply a usable fix; the filter is at its stamp. Gives the verdicts, and what happened."""
         memory = self.memory
         std, std_up = deviations(fix, self.floor_m)
         memory.begun_ns = memory.begun_ns or fix.stamp_ns
@@ -146,22 +179,34 @@ class Fixes:
         white = max(WHITE_SHARE * std, WHITE_FLOOR_M)
         white_up = max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
         verdicts = ekf.apply(GnssPosition(z[0], z[1], white * white))
+        found: list[Event] = []
+        refused = not verdicts[0].accepted
+        if refused:
+            off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
+            facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
+            found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
         verdicts += ekf.apply(GnssHeight(z[2], white_up * white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
-        refused = not verdicts[0].accepted
-        sentence = self._absorb(fix.stamp_ns, verdicts, ekf, std) if refused else ""
-        if not refused:
+        if refused:
+            found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
+        else:
             memory.refused_ns = 0
         measured = None if standing else velocity_l(fix, level)
         if measured is not None:
             std_mps = _velocity_std(fix)
-            verdicts += ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
-        sentence = self._detect_divergence(fix.stamp_ns, ekf, std, standing) or sentence
+            taken = ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
+            verdicts += taken
+            if not taken[0].accepted:
+                off_mps, limit_mps = _refused(ekf, 0.0)
+                facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
+                facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
+                found.append(VELOCITY_REFUSED(key=_KEY, **facts))
+        found += self._detect_divergence(fix.stamp_ns, ekf, std, standing)
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
-        return verdicts, sentence
+        return verdicts, found
 
     def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
         memory = self.memory
@@ -178,22 +223,26 @@ class Fixes:
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
         ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
 
-    def _absorb(self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float) -> str:
+    def _absorb(
+        self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
+    ) -> list[Event]:
         memory = self.memory
         memory.refused_ns = memory.refused_ns or stamp_ns
         if stamp_ns - memory.refused_ns < ABSORB_S * S:
-            return ""
+            return []
         young = memory.refused_ns - memory.begun_ns < ABSORB_S * S
-        memory.refused_ns = 0
+        refused_s, memory.refused_ns = (stamp_ns - memory.refused_ns) / S, 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
         if young:
             error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
             self._move(ekf, error[0] + east, error[1] + north, std)
-            return "the first fixes were far from all that came; the position is taken from these"
+            away_m = math.hypot(error[0] + east, error[1] + north)
+            return [FIRST_FIXES_WRONG(key=_KEY, away_m=away_m)]
         for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
             error_m = ekf.state[slot] + innovation
             ekf.reset(slot, error_m, max(std, abs(error_m)))
-        return "fixes have not fitted the motion for long; their error is taken for larger"
+        error_m = math.hypot(ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH])
+        return [ERROR_TAKEN(key=_KEY, refused_s=refused_s, error_m=error_m)]
 
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
         """Let the position be elsewhere, where fixes without an error would have it."""
@@ -207,16 +256,18 @@ class Fixes:
         error_m = ekf.state[Ix.GNSS_UP] + innovation
         ekf.reset(Ix.GNSS_UP, error_m, max(std_up, abs(error_m)))
 
-    def _detect_divergence(self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool) -> str:
+    def _detect_divergence(
+        self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool
+    ) -> list[Event]:
         """Take the position where the fixes are when their error has been absurd for long."""
         memory = self.memory
         east, north = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
         error = math.hypot(east, north)
         if error < ABSURD_SIGMA * std:
             memory.absurd_ns, memory.absurd_m = 0, 0.0
-            return ""
+            return []
         if standing and error < HUGE_M:
-            return ""
+            return []
         if memory.absurd_ns == 0:
             memory.absurd_ns = stamp_ns
         dt_s = min((stamp_ns - memory.last_ns) / S, 2.0)
@@ -224,13 +275,13 @@ class Fixes:
         lasted_s = (stamp_ns - memory.absurd_ns) / S
         for_long = lasted_s > ABSURD_S and memory.absurd_m > ABSURD_M
         if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):
-            return ""
+            return []
         memory.absurd_ns, memory.absurd_m = 0, 0.0
         recent = [each for each in memory.taken_ns if stamp_ns - each < DIVERGED_S * S]
         memory.taken_ns = [*recent, stamp_ns]
         self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)
-        return "the position was away from the fixes for long; it is taken from them again"
+        return [POSITION_TAKEN(key=_KEY, away_m=error, lasted_s=lasted_s)]
 
 
 def _velocity_std(fix: GnssFix) -> float:

@@ -22,6 +22,7 @@ from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
 from tramstream.memory.stage import assign, copied
 from tramstream.processors.tram.alignment import Alignment, AlignmentMemory
+from tramstream.processors.tram.events import REFUSALS
 from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.processors.tram_model.records import Z
 from tramstream.processors.tram_model.states import Ix
@@ -212,6 +213,8 @@ class Search:
         memory.tried.sort(key=lambda each: -each.likelihood)
         first, last = memory.tried[0], memory.tried[-1]
         first.go_on(navigation)
+        told = [each for each in navigation.complaints if each.kind not in REFUSALS]
+        navigation.complaints[:] = told
         sure = len(memory.tried) == 1 or not first.likelihood - last.likelihood < SURE
         memory.found = sure or self._alignment.way_m > UNSURE_WAY_M
         if memory.found:

@@ -13,11 +13,14 @@ from dataclasses import dataclass, field, replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import antenna_l, unusable
-from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, OnTrack, Verdict
+from tramstream.estimation.fixes import FAR_M, antenna_l, unusable
+from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, Verdict
+from tramstream.estimation.track import LocalTrack
+from tramstream.events import kinds
 from tramstream.geodesy import LocalLevel
 from tramstream.memory.stage import State, assign, from_plain, to_plain
 from tramstream.processors.tram import estimate as estimates
+from tramstream.processors.tram import events
 from tramstream.processors.tram.filter import GYRO_Z, SPEED
 from tramstream.processors.tram.gnss import doubts, speed_over_ground
 from tramstream.processors.tram.heading import Search, SearchMemory
@@ -86,7 +89,7 @@ class TramLocaliser:
         self._watcher = watcher
         self._navigation: Navigation | None = None
         self._lever_arm_m = vehicle.gnss.lever_arm_m if vehicle.gnss else (0.0, 0.0, 0.0)
-        self._complaints: list[str] = []
+        self._complaints: list[kinds.Event] = []
         self.memory = memory = LocaliserMemory()
         self._standstill = memory.standstill
         self._search: Search | None = None
@@ -112,7 +115,7 @@ class TramLocaliser:
         navigation = self._navigation
         if self._silence.note(frame):
             slipping_s = navigation.wheels.slipping_s(memory.stamp_ns) if navigation else 0.0
-            self._complaints += self._silence.sentences(memory.stamp_ns, slipping_s)
+            self._complaints += self._silence.missing(memory.stamp_ns, slipping_s)
         if navigation is None:
             navigation = self._wait(frame)
             if navigation is None:
@@ -129,11 +132,11 @@ class TramLocaliser:
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
-        if navigation.fixes.diverged:
-            self._restart("the position was taken from the fixes again and again")
+        if navigation.fixes.diverged is not None:
+            self._restart(navigation.fixes.diverged)
             return None
         if memory.far_ns[0] and self._first_fix_was_wrong():
-            self._restart("fixes stay far away from where the ride began")
+            self._restart(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
             return None
         if self._watcher is not None and memory.phase is Phase.RUNNING:
             self._watcher.heading_confirmed(navigation)
@@ -149,8 +152,8 @@ class TramLocaliser:
             if not fix.valid:
                 continue
             reason = unusable(fix, None)
-            if reason:
-                self._complaints.append(f"{reason} was left out")
+            if reason is not None:
+                self._complaints.append(reason)
                 continue
             level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
             navigation = self._navigate(level)
@@ -196,9 +199,9 @@ class TramLocaliser:
         """Take note of a fix, apart from the filter."""
         memory = self.memory
         reason = unusable(fix, navigation.level)
-        if reason:
-            self._complaints.append(f"{reason} was left out")
-            if not unusable(fix, None):
+        if reason is not None:
+            self._complaints.append(reason)
+            if unusable(fix, None) is None:
                 memory.far_ns = (memory.far_ns[0] or fix.stamp_ns, fix.stamp_ns)
             return
         self._complaints += doubts(fix, navigation.level)
@@ -269,9 +272,7 @@ class TramLocaliser:
         if running and memory.parked is None and self._standstill.standing:
             memory.parked = Parked.of(navigation)
         if silent_s > BLIND_S:
-            self._complaints.append(
-                "no sensor has told of the motion for more than 5 s; the heading is sought anew"
-            )
+            self._complaints.append(events.HEADING_LOST(silence_s=silent_s, limit_s=BLIND_S))
             self._on(Event.SENSORS_SILENT)
             self._end_search()
             memory.way_m += UNSEEN_MPS * silent_s
@@ -295,9 +296,9 @@ class TramLocaliser:
         memory.parked = None
 
     # Another beginning ---------------------------------------------------------------------------
-    def _restart(self, sentence: str) -> None:
+    def _restart(self, why: kinds.Event) -> None:
         """Forget everything."""
-        self._complaints.append(f"{sentence}; the filter begins anew")
+        self._complaints.append(why)
         self._on(Event.RESTART)
         self._go_on(LocaliserMemory())
 
@@ -307,10 +308,11 @@ class TramLocaliser:
         if not 0 < stamp_ns - last_ns < BACK_S * S:
             first_ns = stamp_ns
         self.memory.back_ns = (first_ns, stamp_ns)
+        back_s = (self.memory.stamp_ns - stamp_ns) / S
         if stamp_ns - first_ns < BACK_S * S:
-            self._complaints.append("time ran backwards; the frame was left out")
+            self._complaints.append(events.TIME_BACKWARDS(back_s=back_s))
             return False
-        self._restart("time goes on from an earlier instant")
+        self._restart(events.SET_BACK(back_s=back_s))
         return True
 
     def _first_fix_was_wrong(self) -> bool:
@@ -323,8 +325,7 @@ class TramLocaliser:
     def _estimate(
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
-        memory = self.memory
-        running = memory.phase is Phase.RUNNING
+        memory, running = self.memory, self.memory.phase is Phase.RUNNING
         mode = navigation.mode(memory.stamp_ns) if running else HEADING_UNKNOWN
         estimate = navigation.ekf.estimate(memory.stamp_ns, mode, standing, verdicts)
         if running:
@@ -342,17 +343,16 @@ class TramLocaliser:
             estimate, antenna, (std_m, std_up_m), speed_mps, min(age_s, 2.0), self._lever_arm_m
         )
 
-    def constrain(self, on_track: OnTrack) -> None:
-        if self._navigation is not None and self.memory.phase is Phase.RUNNING:
-            self._navigation.on_track(on_track)
+    def follow(self, track: LocalTrack) -> bool:
+        navigation, running = self._navigation, self.memory.phase is Phase.RUNNING
+        return navigation is not None and running and navigation.follow(track)
 
     def see(self, mean: ImuMean) -> None:
         self._ahead.append(mean)
 
     def ahead(self) -> Estimate | None:
-        memory = self.memory
-        stamp_ns = max(self._ahead.newest_ns, memory.stamp_ns)
-        navigation, last = self._navigation, memory.last
+        memory, navigation = self.memory, self._navigation
+        stamp_ns, last = max(self._ahead.newest_ns, memory.stamp_ns), memory.last
         if navigation is None or last is None:
             return None
         if memory.phase is not Phase.RUNNING:
@@ -363,7 +363,7 @@ class TramLocaliser:
     def learned(self) -> list[Learned]:
         return [] if self._navigation is None else self._navigation.learned()
 
-    def complaints(self) -> list[str]:
+    def complaints(self) -> list[kinds.Event]:
         found, self._complaints = self._complaints, []
         return found
 

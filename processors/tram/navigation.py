@@ -10,21 +10,24 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tramstream import keys
 from tramstream.attitude import C_vl
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, takes_track
 from tramstream.estimation.fixes import deviations, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
     Learned,
-    OnTrack,
     Verdict,
 )
 from tramstream.estimation.records import numbers, one
+from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailMemory
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, copied
 from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
 from tramstream.processors.tram.estimate import learned
+from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
 from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
 from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import (
@@ -35,6 +38,7 @@ from tramstream.processors.tram.modes import (
     drive_without_reading,
     published_mode,
 )
+from tramstream.processors.tram.start import first_deviations
 from tramstream.processors.tram.wheels import PairMemory, WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
@@ -49,21 +53,13 @@ from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
-ROLL_STD_RAD = 0.06
-"""Cant of 90 mm on 1435 mm, at the start."""
-PITCH_STD_RAD = 0.06
-"""Grade of 7 % with a margin, at the start."""
-GYRO_SCALE_STD = 0.003
-"""ADIS16465 data sheet: sensitivity tolerance."""
-START_STD_M = 1000.0
-"""Position before the first fix."""
 LEAVING_STD_MPS = 0.01
 """Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
 ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
-ASTRAY = "a measurement that is not of its frame's time was left out"
+_EAST, _NORTH, _YAW, _PITCH = (int(each) for each in (Ix.EAST, Ix.NORTH, Ix.YAW, Ix.PITCH))
 
 
 class Watcher(Protocol):
@@ -105,6 +101,7 @@ class NavigationMemory:
     rate_ns: int = 0
     stood: bool = False
     """Whether the vehicle stood in the last frame."""
+    trail: TrailMemory = field(default_factory=TrailMemory)
     given: list[Verdict] = field(default_factory=list)
     """Verdicts on what was taken since the last frame."""
     watched: int = 0
@@ -132,7 +129,7 @@ class Navigation:
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
-        self.complaints: list[str] = []
+        self.complaints: list[Event] = []
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
@@ -141,32 +138,15 @@ class Navigation:
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
+        span_s = vehicle.ekf.track_delay_s
+        self._trail = Trail(span_s, memory.trail) if takes_track(vehicle) else None
         self._begin(vehicle)
 
     def _begin(self, vehicle: Vehicle) -> None:
         """First values and deviations of all states but the position's."""
-        imu, wheels = vehicle.imu, vehicle.wheels
-        std = np.zeros(len(Ix))
-        std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M
-        std[Ix.ROLL], std[Ix.PITCH] = ROLL_STD_RAD, PITCH_STD_RAD
-        std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
-        if imu is not None:
-            std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
-            if vehicle.ekf.vertical_std_mps2_rthz:
-                std[Ix.ACCEL_Z] = imu.accel_bias_std_mps2
-            std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
-            std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
-        else:
-            std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
-        std[Ix.PIVOT] = vehicle.ekf.pivot_std_m
-        std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
-        std[Ix.WHEEL_DELAY] = wheels.delay_std_s
-        if vehicle.gnss is not None:
-            std[Ix.GNSS_DELAY] = math.hypot(
-                vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0
-            )
-        self.ekf.P = np.diag(std**2)
-        self.ekf.set_states(Ix.WHEEL_DELAY, (wheels.delay_s, vehicle.ekf.pivot_m))
+        self.ekf.P = np.diag(first_deviations(vehicle) ** 2)
+        delay_s, pivot_m = vehicle.wheels.delay_s, vehicle.ekf.pivot_m
+        self.ekf.set_states(Ix.WHEEL_DELAY, (delay_s, pivot_m))
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
@@ -194,7 +174,7 @@ class Navigation:
             drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
         lasts = 0.0 if drive is Drive.COASTING else dt
         if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
-            self.complaints.append("an inertial reading that cannot be was left out")
+            self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
             return False
         memory.read_ns = stamp_ns
         if drive is Drive.INERTIAL:
@@ -244,6 +224,7 @@ class Navigation:
         memory.stood = standing
         verdicts, memory.given = memory.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
+        go_to = ekf.go_to if self._trail is None else self._go_on
         if gnss or odometry:
             measurements: list[Any] = [*gnss, *odometry]
             if len(measurements) > 1:
@@ -251,15 +232,17 @@ class Navigation:
             for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
                 if not ekf.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
-                    self.complaints.append(ASTRAY)
+                    self.complaints.append(_astray(measurement, frame_ns))
                     continue
                 if stamp_ns < frame_ns:
-                    ekf.go_to(stamp_ns, self.between, standing)
+                    go_to(stamp_ns, self.between, standing)
                 elif ekf.stamp_ns < frame_ns:
-                    ekf.go_to(frame_ns, self.between, standing)
+                    go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
         if ekf.stamp_ns < frame_ns:
-            ekf.go_to(frame_ns, self.between, standing)
+            go_to(frame_ns, self.between, standing)
+        if self._trail is not None:
+            self._trail.pass_by(frame_ns)
         if noise is None:
             if standing:
                 ekf.zero_velocity()
@@ -270,6 +253,21 @@ class Navigation:
         if self._watcher is not None:
             self._watcher.stepped(self, standing)
         return verdicts
+
+    def _go_on(self, stamp_ns: int, u: Array, standing: bool) -> None:
+        """Go to an instant as the filter does, and leave a trail."""
+        assert self._trail is not None
+        carried, x = self._trail.carried, self.ekf.state
+        east, north, yaw, pitch = x[_EAST], x[_NORTH], x[_YAW], x[_PITCH]
+        self.ekf.go_to(stamp_ns, u, standing)
+        carried[0] += x[_EAST] - east
+        carried[1] += x[_NORTH] - north
+        carried[2] += x[_YAW] - yaw
+        carried[3] += x[_PITCH] - pitch
+
+    def _pose(self) -> Pose:
+        x = self.ekf.state
+        return x[_EAST], x[_NORTH], x[_YAW], x[_PITCH]
 
     def _constrain(self) -> list[Verdict]:
         """Take that the vehicle slips sideways no more than it flies."""
@@ -299,15 +297,29 @@ class Navigation:
         if isinstance(measurement, GnssFix):
             if not measurement.valid or unusable(measurement, self.level):
                 return []
-            verdicts, sentence = self.fixes.apply(measurement, self.ekf, self.level, standing)
-            if sentence:
-                self.complaints.append(sentence)
+            verdicts, found = self.fixes.apply(measurement, self.ekf, self.level, standing)
+            self.complaints += found
             return verdicts
         if not self.wheels.known:
             self.wheels.assign(measurement, self.ekf)
-        return self.wheels.apply(measurement, self.ekf)
+        verdicts = self.wheels.apply(measurement, self.ekf)
+        for verdict in verdicts:
+            if not verdict.accepted:
+                self.complaints += self.wheels.refusal(verdict)
+        return verdicts
 
     # Changes of the situation --------------------------------------------------------------------
+    def follow(self, track: LocalTrack) -> bool:
+        """Take what a map tells of a moment ago; False if that cannot be used."""
+        now = self._pose()
+        then = self._trail.at(track.stamp_ns, now) if self._trail is not None else None
+        told = track.told(*then[:3]) if then is not None else None
+        if then is None or told is None:
+            return False
+        # What the pitch has turned by since is the grade of another place.
+        self.on_track(told._replace(grade_rad=told.grade_rad + then[3] - now[3]))
+        return True
+
     def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
         """Take that the vehicle is on a track, of which the state as it is is off."""
         memory = self.memory
@@ -367,6 +379,12 @@ class Navigation:
         assign(self.memory, kept)
         if self._watcher is not None:
             self._watcher.restored(self, kept.watched)
+
+
+def _astray(measurement: Any, frame_ns: int) -> Event:
+    key = keys.GNSS_FIX if isinstance(measurement, GnssFix) else keys.ODO_WHEELS
+    off_s = abs(measurement.stamp_ns - frame_ns) / S
+    return ASTRAY(key=key.path, off_s=off_s, limit_s=ASTRAY_NS / S)
 
 
 _stamp: Callable[[Any], int] = attrgetter("stamp_ns")

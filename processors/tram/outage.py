@@ -13,9 +13,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.events.kinds import Event
+from tramstream.processors.tram.events import NO_FIX, NO_IMU, NO_WHEELS, SLIPPING
 from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -24,14 +27,11 @@ from tramstream.proto.sync_pb2 import SyncFrame
 
 REPEAT_S = 10.0
 """The same is said again only after so long."""
-SILENT_S = {
-    "no inertial reading for more than 1 s": 1.0,
-    "no wheel reading for more than 5 s, though wheels are configured": 5.0,
-    "no usable fix for more than 60 s": 60.0,
-}
-_IMU, _WHEELS, _FIXES = SILENT_S
+SILENT_S = {NO_IMU: 1.0, NO_WHEELS: 5.0, NO_FIX: 60.0}
+"""So long a silence is said."""
+_KEYS = {NO_IMU: keys.IMU_BATCH, NO_WHEELS: keys.ODO_WHEELS, NO_FIX: keys.GNSS_FIX}
+_IMU, _WHEELS, _FIXES = (kind.name for kind in SILENT_S)
 SLIPPING_S = 5.0
-SLIPPING = "a wheel has not fitted the motion for more than 5 s"
 ROLLED_PULSES = 3
 """A wheel may rock by so much while its vehicle stands."""
 SAME_PLACE_M = 10.0
@@ -41,7 +41,7 @@ SAME_PLACE_SIGMA = 4.0
 
 @dataclass
 class SilenceMemory:
-    """What `Silence` remembers, by sentence."""
+    """What `Silence` remembers, by what does not come."""
 
     last_ns: dict[str, int] = field(default_factory=dict)
     said_ns: dict[str, int] = field(default_factory=dict)
@@ -49,11 +49,11 @@ class SilenceMemory:
 
 
 class Silence:
-    """Notices what does not come; one sentence each, again and again while it lasts."""
+    """Notices what does not come; says so again and again while it lasts."""
 
     def __init__(self, vehicle: Vehicle, memory: SilenceMemory | None = None) -> None:
-        expected = {_IMU: vehicle.imu, _WHEELS: vehicle.odometer, _FIXES: vehicle.gnss}
-        self._expected = [sentence for sentence, section in expected.items() if section is not None]
+        expected = {NO_IMU: vehicle.imu, NO_WHEELS: vehicle.odometer, NO_FIX: vehicle.gnss}
+        self._expected = [kind for kind, section in expected.items() if section is not None]
         self.memory = SilenceMemory() if memory is None else memory
 
     def note(self, frame: SyncFrame) -> bool:
@@ -70,22 +70,23 @@ class Silence:
         second, memory.second = memory.second, stamp_ns // S
         return second != memory.second
 
-    def sentences(self, stamp_ns: int, slipping_s: float) -> list[str]:
+    def missing(self, stamp_ns: int, slipping_s: float) -> list[Event]:
         """Give what there is to say."""
-        found = [
-            sentence
-            for sentence in self._expected
-            if stamp_ns - self.memory.last_ns.setdefault(sentence, stamp_ns)
-            > SILENT_S[sentence] * S
-        ]
+        found = []
+        for kind in self._expected:
+            silence_s = (stamp_ns - self.memory.last_ns.setdefault(kind.name, stamp_ns)) / S
+            if silence_s > SILENT_S[kind]:
+                facts = {"silence_s": silence_s, "limit_s": SILENT_S[kind]}
+                found.append(kind(key=_KEYS[kind].path, **facts))
         if slipping_s > SLIPPING_S:
-            found.append(SLIPPING)
-        due = [each for each in found if self._due(each, stamp_ns)]
-        self.memory.said_ns.update(dict.fromkeys(due, stamp_ns))
+            facts = {"slipping_s": slipping_s, "limit_s": SLIPPING_S}
+            found.append(SLIPPING(key=keys.ODO_WHEELS.path, **facts))
+        due = [each for each in found if self._due(each.kind.name, stamp_ns)]
+        self.memory.said_ns.update({each.kind.name: stamp_ns for each in due})
         return due
 
-    def _due(self, sentence: str, stamp_ns: int) -> bool:
-        said_ns = self.memory.said_ns.get(sentence)
+    def _due(self, kind: str, stamp_ns: int) -> bool:
+        said_ns = self.memory.said_ns.get(kind)
         return said_ns is None or stamp_ns - said_ns >= REPEAT_S * S
 
 

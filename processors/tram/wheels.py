@@ -13,16 +13,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.localiser import Verdict
+from tramstream.events.kinds import Event
+from tramstream.processors.tram.events import WHEEL_REFUSED, WHEEL_SPEED_REFUSED
 from tramstream.processors.tram.filter import SPEED, TramFilter
+from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
 from tramstream.processors.tram_model.wheel_speed import WheelSpeed
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
 
+_PATHS, _SPEEDS = ("wheel_a", "wheel_b"), ("rim_a", "rim_b")
 QUANTISATION = 1.0 / 3.0
 """Variance of a wheel's reading in pulses²: 1/12 of rounding, more at low speed (docs/theory.md,
 section 3.5)."""
@@ -347,6 +352,19 @@ class WheelPair:
             ekf.widen(Ix.SPEED, abs(verdict.innovation))
             wheel.slip_ns = stamp_ns
         return verdict
+
+    def refusal(self, verdict: Verdict) -> list[Event]:
+        """What to say of a reading that was not used; nothing of one that is only watched."""
+        gate_sigma = math.sqrt(SCALAR_GATE)
+        off, limit = abs(verdict.innovation), gate_sigma * math.sqrt(max(verdict.variance, 0.0))
+        if off <= limit:
+            return []
+        slot = int(verdict.measurement in (_PATHS[1], _SPEEDS[1]))
+        wheel = next((name for name, each in self._wheels.items() if each.slot == slot), "")
+        facts = {"key": keys.ODO_WHEELS.path, "wheel": wheel, "gate_sigma": gate_sigma}
+        if verdict.measurement in _SPEEDS:
+            return [WHEEL_SPEED_REFUSED(innovation_mps=off, limit_mps=limit, **facts)]
+        return [WHEEL_REFUSED(innovation_m=off, limit_m=limit, **facts)]
 
 
 def path_variance(ekf: TramFilter, wheel: Wheel) -> float:

@@ -59,7 +59,9 @@ def repair(active: Path, storage: Storage = DISK) -> Recovery:
     redo = final.with_name(final.name + REDO)
     with _locked(active) as fd:
         if final.exists() and not final.samefile(active):
-            raise RecordError(f"{active}: {final.name} exists already; move one of them away")
+            raise RecordError(
+                f"{active}: {final.name} exists already", cure="move one of them away"
+            )
         try:
             if final.exists():  # `Storage.rename` was cut between its two steps
                 storage.unlink(active)
@@ -101,7 +103,7 @@ def _locked(active: Path) -> Iterator[int]:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise RecordError(
-                f"{active}: is being written; stop the recorder that has it first"
+                f"{active}: is being written", cure="stop the recorder that has it first"
             ) from error
         yield fd
     finally:
@@ -111,7 +113,9 @@ def _locked(active: Path) -> Iterator[int]:
 def _delete_empty(active: Path, found: Scan, storage: Storage) -> Recovery:
     """Delete a file that never got a message; keep one that has bytes nobody understands."""
     if found.size - found.good_end > 1 << 16:
-        raise RecordError(f"{active}: holds no message that can be read; look at it and delete it")
+        raise RecordError(
+            f"{active}: holds no message that can be read", cure="look at it and delete it"
+        )
     storage.unlink(active)
     storage.sync_directory(active.parent)
     return Recovery(active, None)

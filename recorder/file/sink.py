@@ -16,6 +16,8 @@ from enum import Enum, auto
 from pathlib import Path
 from queue import SimpleQueue
 
+from tramstream.events.kinds import Event
+from tramstream.recorder.file.events import DISK_REFUSES, PART_RESCUED
 from tramstream.recorder.file.storage import DISK, Storage
 
 LIMIT_BYTES = 32_000_000
@@ -78,7 +80,7 @@ class Worker:
 
     def __init__(self, threaded: bool = True, storage: Storage = DISK) -> None:
         self.storage = storage
-        self.sentences: deque[str] = deque()
+        self.events: deque[Event] = deque()
         """What jobs have done that people should know."""
         self._threaded = threaded
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
@@ -158,6 +160,7 @@ class Sink:
         self.size = 0  # of all that was put
         self.written = 0  # of all whole groups in the file
         self.error = ""
+        self._refusal = ("", "")  # why the disk refuses, and what helps
         self.error_number = 0
         self.spoiled = False
         self._worker = worker
@@ -287,9 +290,7 @@ class Sink:
             raise
         self._storage.close(self._fd)
         self._fd, self._reserved, self._new = fd, 0, False
-        self._worker.sentences.append(
-            f"{self.path.name}: was deleted or moved while it was written; it is whole again"
-        )
+        self._worker.events.append(PART_RESCUED(part=self.path.name))
 
     def _write(self) -> bool:
         grown = False
@@ -334,6 +335,14 @@ class Sink:
             self._storage.sync_directory(self.path.parent)
             self._new = False
 
+    def trouble(self, dropped: int) -> Event | None:
+        """What is wrong while the disk refuses; `dropped` messages had no room in memory."""
+        if not self.error:
+            return None
+        (reason, advice), waiting_bytes = self._refusal, self.pending_bytes
+        facts = {"waiting_bytes": waiting_bytes, "dropped": dropped}
+        return DISK_REFUSES(path=self.path, reason=reason, advice=advice, **facts)
+
     def _refuse(self, error: OSError) -> None:
         """Cut off what was written of a group and say why."""
         try:
@@ -344,21 +353,27 @@ class Sink:
             self.spoiled = True  # the rest of a group stays; readers step over it
         self.error_number = error.errno or 0
         self.error = f"{self.path}: {reason(error)}"
+        self._refusal = why(error)
 
 
+_FOLDER = "$.recorder.directory"
 _REASONS = {
-    errno.ENOSPC: "the disk is full; delete or move records",
-    errno.EDQUOT: "the disk quota is used up; delete or move records",
-    errno.EFBIG: "the file may not grow further; lower $.recorder.split_bytes",
-    errno.EIO: "the disk fails (input/output error); replace it",
-    errno.EROFS: "the disk is read-only; mount it writable",
-    errno.EEXIST: "the file exists already; choose another name or delete it",
-    errno.EACCES: "the folder may not be written; correct its owner or $.recorder.directory",
-    errno.ENOENT: "the folder does not exist; create it or correct $.recorder.directory",
+    errno.ENOSPC: ("the disk is full", "delete or move records"),
+    errno.EDQUOT: ("the disk quota is used up", "delete or move records"),
+    errno.EFBIG: ("the file may not grow further", "lower $.recorder.split_bytes"),
+    errno.EIO: ("the disk fails (input/output error)", "replace it"),
+    errno.EROFS: ("the disk is read-only", "mount it writable"),
+    errno.EEXIST: ("the file exists already", "choose another name or delete it"),
+    errno.EACCES: ("the folder may not be written", f"correct its owner or {_FOLDER}"),
+    errno.ENOENT: ("the folder does not exist", f"create it or correct {_FOLDER}"),
 }
+
+
+def why(error: OSError) -> tuple[str, str]:
+    """Why the disk refuses, and what helps."""
+    return _REASONS.get(error.errno or 0) or (f"the disk refuses ({error.strerror or error})", "")
 
 
 def reason(error: OSError) -> str:
     """Why the disk refuses and what helps, as the end of a sentence."""
-    known = _REASONS.get(error.errno or 0)
-    return known or f"the disk refuses ({error.strerror or error})"
+    return "; ".join(filter(None, why(error)))

@@ -28,6 +28,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, S
 from tramstream import __version__
 from tramstream.clock import boot_id
 from tramstream.errors import RecordError
+from tramstream.events.kinds import Event
 from tramstream.keys import SCHEMA_VERSION, Key, descriptor_set
 from tramstream.proto.health_pb2 import NodeHealth
 from tramstream.recorder.file.chunk import BLOCK_BYTES, decode_chunk, encode_chunk, read_chunk_head
@@ -67,7 +68,7 @@ class RecordFile:
         tells one host or boot from another goes here (`host_metadata`), not into the writer.
     worker : Worker, optional
         With one the file is live: disk work is the worker's, trouble is shown in `state` and
-        `text`, dropped messages are counted. Without one each full chunk is written at once and
+        `trouble`, dropped messages are counted. Without one each full chunk is written at once and
         trouble raises RecordError.
     chunk_bytes, limit_bytes : int
         Size at which a chunk is closed; most that is kept while the disk refuses.
@@ -160,13 +161,9 @@ class RecordFile:
         return int(NodeHealth.DEGRADED if self._sink.error else NodeHealth.OK)
 
     @property
-    def text(self) -> str:
-        """One sentence if the state is not OK."""
-        if not self._sink.error:
-            return ""
-        kept = f"{self.pending_bytes / 1e6:.1f} MB wait in memory"
-        lost = f", {self._losses.count} messages were dropped" if self._losses.count else ""
-        return f"{self._sink.error} ({kept}{lost})"
+    def trouble(self) -> Event | None:
+        """What is wrong if the state is not OK."""
+        return self._sink.trouble(self._losses.count)
 
     def adopt(self, other: RecordFile) -> None:
         """Take over all channels of `other` with their ids, so that parts number them alike."""

@@ -17,9 +17,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
 
+from tramstream import keys
+from tramstream.boundary import decode
+from tramstream.events.messages import facts_of
 from tramstream.graph import Graph
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
+from tramstream.proto.health_pb2 import Event
 from tramstream.proto.sync_pb2 import Snapshot
 from tramstream.recorder.file.writer import RecordFile
 from tramstream.recorder.reader import open_record
@@ -61,6 +65,17 @@ class ProcessorContract(ABC):
                 assert sequence == numbers.get(path, 0) + 1, f"{path}: {sequence} is out of turn"
                 numbers[path] = sequence
         assert numbers, f"{tested.name} said nothing on this ride; give it another"
+
+    def test_raises_only_events_that_it_declares(self) -> None:
+        tested = self.make()[-1]
+        declared = {kind.name: dict(kind.facts) for kind in tested.events}
+        path = keys.EVENT.at(tested.name).path
+        for _, _, outputs in self._steps(self.make()):
+            for data in (payload for place, _, _, payload in outputs if place == path):
+                event = decode(Event, data, path)
+                assert event.kind in declared, f"{event.kind} is no event that {path} declares"
+                types = {name: type(value) for name, value in facts_of(event).items()}
+                assert types == declared[event.kind], f"{event.kind}: other facts than declared"
 
     def test_changes_no_sample_that_it_gets(self) -> None:
         for sample, before, _ in self._steps(self.make()):

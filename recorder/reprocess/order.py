@@ -28,7 +28,8 @@ from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
 from tramstream.recorder.reader import Entry, Record
-from tramstream.recorder.reprocess.plan import Plan, Spans, is_fresh
+from tramstream.recorder.reprocess.plan import Plan, is_fresh
+from tramstream.recorder.reprocess.restarts import Spans
 
 SETTLE_NS = 40 * S
 """A message that reaches the recorder so much later than a tick that counts it is lost. What waited
@@ -111,7 +112,7 @@ class Reprocessor:
         self._plan = plan
         self._take = take
         self._expect: Expect | None = None
-        self._graph = Graph(processors)
+        self._graph = Graph(processors, step_of=plan.step_of)
         self._compared = set(self._graph.outputs)
         pacing = {key.path for processor in processors for key in processor.pacing}
         self._inputs = {
@@ -317,7 +318,7 @@ class Memories:
     """What processors remember when a session of the live ones begins.
 
     Processors with a process of their own are in no snapshot: they go on, as do those whose memory
-    in the record is of no use here (`Plan.remembers`).
+    in the record is of no use here (`Plan.remembers`); see `restarts`.
 
     Parameters
     ----------
@@ -329,8 +330,9 @@ class Memories:
     """
 
     def __init__(self, plan: Plan, processors: list[Processor], others: Collection[str]) -> None:
-        self._plan, self._processors, self._others = plan, processors, others
-        self._fresh = [processor.snapshot() for processor in processors]
+        self._plan, self._others = plan, others
+        self._processors = [each for each in processors if each.name not in plan.starts]
+        self._fresh = [processor.snapshot() for processor in self._processors]
 
     def begin(self, snapshot: Snapshot) -> None:
         """Put memory back as a session began with it."""

@@ -120,7 +120,7 @@ class Followers:
         self._memories = Memories(plan, processors, others)
         self._plan = plan
         self._session = -1
-        self.graph = Graph(processors)
+        self.graph = Graph(processors, step_of=plan.step_of)
 
     def step(self, session: int, samples: list[Sample]) -> list[Output]:
         """Give what follows from `samples`, which followed from one input."""

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate
 
 from tramstream import keys
 from tramstream.live import snapshots
-from tramstream.processor import Processor
+from tramstream.processor import Processor, Sample
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.sync_pb2 import LateSample, Snapshot
 from tramstream.recorder.reader import Record
+from tramstream.recorder.reprocess.restarts import (
+    Door,
+    Spans,
+    Start,
+    find_lasts,
+    find_lost,
+    see_memory,
+)
 
 RECORDER = "recorder"
 
@@ -37,6 +43,12 @@ class Plan:
     recorder_lost: dict[str, int] = field(default_factory=dict)
     read: set[str] = field(default_factory=set)
     """Paths of the keys that the live processors read, as snapshots tell."""
+    losses: dict[str, dict[str, list[tuple[int, int]]]] = field(default_factory=dict)
+    """The same by the node that did not get it."""
+    starts: dict[str, list[Start]] = field(default_factory=dict)
+    """By processor: of the processes that it had of its own."""
+    lost: dict[str, dict[str, set[int]]] = field(default_factory=dict)
+    """By processor and path: numbers of what others made and it never got."""
     settings: frozenset[str] | None = None
     """Digests of the settings that the processors have now; None: nobody looks at them."""
     unfit: set[int] = field(default_factory=set)
@@ -48,9 +60,12 @@ class Plan:
 
     def see_what_fits(self, processors: Sequence[Processor]) -> None:
         """Try the memory of each session on `processors`, which keep their own."""
-        for snapshot in (session.snapshot for session in self.sessions):
-            asked = self._settings_fit(snapshot) and not is_fresh(snapshot)
-            if asked and not snapshots.fits(snapshot, processors):
+        apart = [each for known in self.starts.values() for each in known]
+        for snapshot in (
+            *(each.snapshot for each in self.sessions if not is_fresh(each.snapshot)),
+            *(each.memory for each in apart if each.memory is not None and not each.fresh),
+        ):
+            if self._settings_fit(snapshot) and not snapshots.fits(snapshot, processors):
                 self.unfit.add(snapshot.session)
 
     def _settings_fit(self, snapshot: Snapshot) -> bool:
@@ -65,6 +80,39 @@ class Plan:
             for session in self.sessions
         )
 
+    def step_of(self, processor: Processor) -> Callable[[Sample], list[Sample]]:
+        """What steps a processor as its process did: see `Door`.
+
+        With other settings, or in another version, there is nothing to repeat: then it takes all.
+        """
+        starts = self.starts.get(processor.name, [])
+        if not all(each.fresh or self.remembers(each.memory) for each in starts if each.memory):
+            return processor.step
+        lost = self.lost.get(processor.name, {})
+        return Door(processor, starts, lost).step if starts or lost else processor.step
+
+    def settle(
+        self, record: Record, processors: list[Processor], nodes: dict[str, list[str]]
+    ) -> None:
+        """Look up in the record what was made by whom and lost by whom.
+
+        Parameters
+        ----------
+        processors : list of Processor
+            Those that run again.
+        nodes : dict
+            Names of nodes, each with those of its processors.
+        """
+        made = {key.path: each.name for each in processors for key in each.outputs}
+        own = {path: self.starts[name] for path, name in made.items() if name in self.starts}
+        if own:
+            find_lasts(record, own)
+        for node, losses in self.losses.items():
+            spans = {path: Spans(each) for path, each in losses.items() if path in made}
+            lost = find_lost(record, spans) if spans else {}
+            if lost:
+                self.lost.update(dict.fromkeys(nodes.get(node, ()), lost))
+
     @property
     def anchored(self) -> bool:
         return bool(self.sessions)
@@ -75,30 +123,25 @@ def is_fresh(snapshot: Snapshot) -> bool:
     return snapshot.start and snapshot.tick_sequence == 0
 
 
-class Spans:
-    """Open intervals, asked whether an instant lies in one of them."""
-
-    def __init__(self, spans: Iterable[tuple[int, int]]) -> None:
-        ordered = sorted(spans)
-        self._after_ns = [after_ns for after_ns, _ in ordered]
-        # The furthest end so far: intervals may overlap.
-        self._before_ns = list(accumulate((before_ns for _, before_ns in ordered), max))
-
-    def __contains__(self, stamp_ns: int) -> bool:
-        index = bisect_left(self._after_ns, stamp_ns) - 1
-        return index >= 0 and stamp_ns < self._before_ns[index]
-
-
 def read_plan(record: Record, consumers: Collection[str]) -> Plan:
     """Collect snapshots, late samples and losses; `consumers` are the nodes that run processors."""
     plan = Plan()
+    memories = {keys.MEMORY.at(node).path for node in consumers}
     controls = {
         keys.SYNC_SNAPSHOT.path,
-        keys.SYNC_LATE.path,
+        *memories,
         *(keys.LOSS.at(node).path for node in (RECORDER, *consumers)),
     }
-    for entry, message in record.decoded(lambda topic: keys.split(topic)[1] in controls):
-        if isinstance(message, Snapshot):
+    wanted = {
+        topic
+        for topic, info in record.channels.items()
+        if keys.split(topic)[1] in controls
+        or (info.schema == LateSample.DESCRIPTOR.full_name and not keys.is_apart(topic))
+    }
+    for entry, message in record.decoded(wanted.__contains__):
+        if isinstance(message, Snapshot) and keys.split(entry.topic)[1] in memories:
+            see_memory(plan.starts, message, entry.publish_ns)
+        elif isinstance(message, Snapshot):
             _see_snapshot(plan, message, entry.publish_ns)
         elif isinstance(message, LateSample):
             if message.source_publish_ns:
@@ -118,6 +161,8 @@ def _see_snapshot(plan: Plan, snapshot: Snapshot, publish_ns: int) -> None:
 def _see_loss(plan: Plan, loss: Loss) -> None:
     path = keys.split(loss.key)[1]
     if loss.consumer != RECORDER:
-        plan.skip.setdefault(path, []).append((loss.after_publish_ns, loss.before_publish_ns))
+        span = loss.after_publish_ns, loss.before_publish_ns
+        plan.skip.setdefault(path, []).append(span)
+        plan.losses.setdefault(loss.consumer, {}).setdefault(path, []).append(span)
     else:
         plan.recorder_lost[path] = plan.recorder_lost.get(path, 0) + loss.count

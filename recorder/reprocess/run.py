@@ -9,7 +9,7 @@ import msgspec
 
 from tramstream import config_file, keys, plugins
 from tramstream.clock import S
-from tramstream.config import Vehicle
+from tramstream.config import MATCHER, Vehicle
 from tramstream.errors import ConfigError, RecordError
 from tramstream.live import registry
 from tramstream.processor import Ordering, Processor, Smoothing
@@ -61,12 +61,20 @@ def vehicle_of(record: Record, path: Path) -> Vehicle:
     if not text:
         raise ConfigError(f"{path}: holds no configuration; give one with --config")
     try:
-        return msgspec.json.decode(text, type=Vehicle)
+        return _with_matcher(msgspec.json.decode(text, type=Vehicle), text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(
             f"{path}: the configuration in the record does not fit this version ({error}); "
             "give one with --config"
         ) from error
+
+
+def _with_matcher(vehicle: Vehicle, text: str) -> Vehicle:
+    """Name the map matcher in a configuration of a version in which it was a part of the filter."""
+    settings = msgspec.json.decode(text).get("map")
+    if settings is None or "source" in settings or MATCHER in vehicle.processors:
+        return vehicle
+    return msgspec.structs.replace(vehicle, processors=(*vehicle.processors, MATCHER))
 
 
 def rerun(
@@ -101,6 +109,8 @@ def rerun(
         plan = Plan() if fresh else read_plan(record, consumers)
         plan.settings = _settings(record, vehicle, config is not None)
         processors = _processors(vehicle, plan)
+        shared = {registry.PROCESSORS: registry.joint(vehicle)}
+        plan.settle(record, processors, {each: [each] for each in vehicle.running} | shared)
         plan.see_what_fits(processors)
         if not any(_has(record, processor) for processor in processors):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
@@ -197,13 +207,15 @@ def _processors(vehicle: Vehicle, plan: Plan) -> list[Processor]:
 
 
 def _without_map(vehicle: Vehicle) -> str:
-    """Why the configured track network cannot be used; processors go on without it."""
+    """Why the configured track network is not used; processors go on without it."""
     if vehicle.map is None:
         return ""
+    if MATCHER not in vehicle.processors:
+        return f"$.processors: does not name {MATCHER}"
     try:
         networks.load(Path(vehicle.map.network))
     except ConfigError as error:
-        return str(error)
+        return f"$.map.network: {error}"
     return ""
 
 

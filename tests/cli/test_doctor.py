@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import pytest
 from live import HANG_S, short_folder
 from looking import VEHICLE, busy_bus, tramstream
+from networks import laid, network_of, straight
 
 from tramstream import config, config_file, keys
 from tramstream.bridges.ports import SerialPort
@@ -24,6 +25,7 @@ from tramstream.cli.checks import devices as checkup_devices
 from tramstream.cli.checks import machine
 from tramstream.cli.checks.machine import State
 from tramstream.cli.init import CONFIG_NAME, init
+from tramstream.config import MATCHER, Map
 
 
 def nmea(number: int) -> bytes:
@@ -288,3 +290,14 @@ def test_verb_names_the_field_of_a_bad_configuration(folder, tmp_path):
     failed = [check for check in json.loads(done.stdout)["checks"] if check["state"] == "FAIL"]
     assert done.returncode == 1
     assert any("$.imu.batch" in check["text"] for check in failed)
+
+
+def test_map_that_nobody_matches_with_is_told(tmp_path: Path) -> None:
+    network = tmp_path / "line.tracks"
+    network_of([laid(straight(50.0))]).save(network)
+    settings = Map(network=str(network))
+    assert machine.check_map(settings, ("ekf", MATCHER)).state == "ok"
+    found = machine.check_map(settings, ("ekf",))
+    assert found.state == "warning"
+    assert MATCHER in found.text
+    assert MATCHER in found.cure

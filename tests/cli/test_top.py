@@ -17,6 +17,8 @@ from tramstream.cli.monitor.screen import WIDE
 from tramstream.cli.monitor.stats import Stats
 from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
+from tramstream.events import define
+from tramstream.events.messages import message_of
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
@@ -110,6 +112,21 @@ def test_sick_node_and_device_say_why():
     text = "\n".join(shown(stats, 120))
     assert "no device" in text
     assert "/dev/x: not there" in text
+
+
+def test_last_event_of_a_source_is_shown_while_it_is_news():
+    refused = define("test.refused", "a fix {key}: {innovation_m}", key=str, innovation_m=float)
+    event = message_of(refused(key=keys.GNSS_FIX.path, innovation_m=41.2), "ekf")
+    event.stamp_ns = NOW_NS - 5 * S
+    stats = healthy()
+    stats.add(envelope(keys.EVENT.at("ekf"), event, NOW_NS - 5 * S, 1))
+    (row,) = board(stats, VEHICLE, NOW_NS).events
+    assert (row.source, row.kind, row.level) == ("ekf", "test.refused", Level.WARNING)
+    assert row.facts == {"key": "raw/gnss/fix", "innovation_m": 41.2}
+    assert any("a fix raw/gnss/fix: 41.2 m" in line for line in shown(stats, 120))
+    assert board(stats, VEHICLE, NOW_NS + 300 * S).events == []
+    (plain,) = board(stats, VEHICLE, NOW_NS).as_dict()["events"]
+    assert (plain["level"], plain["facts"]["innovation_m"]) == ("warning", 41.2)
 
 
 def test_other_vehicles_are_left_out():

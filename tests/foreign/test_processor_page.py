@@ -28,6 +28,6 @@ def test_tests_of_the_page_pass_and_its_notebook_prints_what_it_shows(
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
     done = finished(command, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
-    assert "5 passed" in done.stdout
+    assert "6 passed" in done.stdout
     done = finished([sys.executable, "-c", f"{tests}\n{notebook}"], cwd=tmp_path, check=True)
     assert [done.stdout] == PRINTED

@@ -13,7 +13,9 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Imu, Vehicle
 from tramstream.errors import DeviceError
+from tramstream.events.messages import facts_of
 from tramstream.live import snapshots
+from tramstream.live.events import NOT_USED, UNDECODABLE
 from tramstream.live.host import Memory, ProcessorNode
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.distance.processor import DistanceFilter
@@ -21,7 +23,7 @@ from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 from tramstream.proto.raw_pb2 import CanFrames, ImuBatch, Odometry, WheelReading
-from tramstream.proto.sync_pb2 import ImuMean, SyncFrame, Tick
+from tramstream.proto.sync_pb2 import ImuMean, Snapshot, SyncFrame, Tick
 from tramstream.transport.bus import LocalBus
 
 MS = S // 1000
@@ -156,6 +158,13 @@ def test_message_that_is_garbage_is_refused_and_no_fault(world: World) -> None:
     beat = world.ear.heard(keys.HEARTBEAT)[-1]
     assert beat.state == NodeHealth.DEGRADED
     assert "raw/gnss/fix holds bytes that are no tramstream.GnssFix" in beat.text
+    facts = {"key": keys.GNSS_FIX.on(VEHICLE), "reason": "no tramstream.GnssFix"}
+    (event,) = world.ear.heard(keys.EVENT)
+    assert (event.kind, facts_of(event)) == (UNDECODABLE.name, facts)
+    assert [trouble.kind for trouble in beat.troubles] == [UNDECODABLE.name, NOT_USED.name]
+    (log,) = world.ear.heard(keys.LOG)
+    assert (log.message, log.file) == (str(UNDECODABLE(**facts)), UNDECODABLE.name)
+    assert log.timestamp.ToNanoseconds() == event.stamp_ns
 
 
 # Ticks --------------------------------------------------------------------------------------------
@@ -306,7 +315,7 @@ def test_memory_on_disk_is_never_older_than_five_seconds(world: World, tmp_path:
 
     def look() -> None:
         world.clock.advance(0.1)
-        found, _ = snapshots.load(path, world.clock.now_ns())
+        found = snapshots.load(path, world.clock.now_ns())
         if found is not None:
             ages_s.append((world.clock.now_ns() - found.stamp_ns) / S)
 
@@ -354,8 +363,8 @@ def test_second_node_goes_on_where_the_first_one_was(tmp_path: Path) -> None:
 def test_unfit_memory_does_not_keep_a_node_from_starting(world: World, tmp_path: Path) -> None:
     path = tmp_path / "s"
     world.run([Remembering()], world.fix, path=path)
-    snapshot, _ = snapshots.load(path, world.clock.now_ns())
-    assert snapshot is not None
+    snapshot = snapshots.load(path, world.clock.now_ns())
+    assert isinstance(snapshot, Snapshot)
     snapshot.states[0].state = snapshots.pack({"of": "another version"})
     snapshots.save(path, snapshot)
     first = Remembering()

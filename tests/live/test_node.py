@@ -8,7 +8,8 @@ from scripted import START_NS, VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.live import node
+from tramstream.events import define
+from tramstream.events.repeats import AGAIN_NS
 from tramstream.live.node import Node
 from tramstream.processor import Ledger
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -151,15 +152,16 @@ def test_fault_that_repeats_is_counted_each_time_and_told_now_and_then(world: Wo
     listener.every(0.1, fault)
     listener.run()
     assert listener.faults == 250
-    assert len(world.ear.heard(keys.LOG)) == 1 + int(25 / node.TRACE_AGAIN_S)
+    assert len(world.ear.heard(keys.LOG)) == 1 + int(25 * S / AGAIN_NS)
 
 
-def test_log_takes_names_that_are_no_text(world: World) -> None:
+def test_event_takes_names_that_are_no_text(world: World) -> None:
+    gone = define("test.gone", "{device} is gone", device=str)(device="\udcff")
     listener = Listener(world.bus, Script())
-    listener.log(b"/dev/\xff".decode(errors="surrogateescape"))
-    listener.trouble = "\udcff is lost"
+    listener.tell(gone)
+    listener.troubles = [gone]
     listener.run()
-    assert world.ear.heard(keys.LOG)[0].message == "/dev/\\udcff"
+    assert world.ear.heard(keys.LOG)[0].message == "\\udcff is gone"
     assert world.health()[-1].state == NodeHealth.DEGRADED
 
 

@@ -12,6 +12,7 @@ from scripted import FakePort, Impatient, raw
 
 from tramstream.clock import S
 from tramstream.errors import DeviceError
+from tramstream.live.events import DEVICE_AWAY, DEVICE_NOT_OPENED, DEVICE_SILENT
 from tramstream.live.ports import (
     BACKOFF_FIRST_S,
     BACKOFF_MAX_S,
@@ -75,9 +76,11 @@ def test_health_names_what_was_lost_until_it_is_back() -> None:
     port.open = look_and_open  # type: ignore[method-assign]
     reader.start()
     reader.join(HANG_S)
-    not_yet = (DeviceHealth.LOST, "/dev/fake: not opened yet")
-    assert seen == [not_yet, not_yet, (DeviceHealth.LOST, "/dev/fake: no such device")]
-    assert reader.health() == (DeviceHealth.OPEN, "")
+    not_yet = (DeviceHealth.LOST, DEVICE_NOT_OPENED(device="/dev/fake"))
+    facts = {"reason": "/dev/fake: no such device", "advice": ""}
+    away = (DeviceHealth.LOST, DEVICE_AWAY(device="/dev/fake", **facts))
+    assert seen == [not_yet, not_yet, away]
+    assert reader.health() == (DeviceHealth.OPEN, None)
 
 
 def test_bug_in_a_port_is_delivered_and_the_device_opened_again() -> None:
@@ -95,12 +98,11 @@ def test_device_that_says_nothing_is_silent_with_a_cure() -> None:
     reader.start()
     reader.join(HANG_S)
     now_s[0] += SILENT_S - 0.1
-    assert reader.health() == (DeviceHealth.OPEN, "")
+    assert reader.health() == (DeviceHealth.OPEN, None)
     now_s[0] += 0.2
-    state, text = reader.health()
-    assert state == DeviceHealth.SILENT
-    assert "/dev/fake" in text
-    assert "cable" in text
+    silent = DEVICE_SILENT(device="/dev/fake", silence_s=3.0, limit_s=SILENT_S)
+    assert reader.health() == (DeviceHealth.SILENT, silent)
+    assert "check power" in str(silent)
 
 
 def test_reader_that_was_never_started_can_be_joined() -> None:

@@ -83,7 +83,7 @@ def test_configuration_chooses_the_nodes_and_router_and_recorder_come_first() ->
     assert nodes[:2] == ["router", "recorder"]
     assert set(nodes) == {"router", "recorder", "processors", "gnss", "imu"}
     apart = registry.node_names(replace(VEHICLE, separate=VEHICLE.processors))
-    assert set(apart) == {"router", "recorder", "gnss", "imu", *VEHICLE.processors}
+    assert set(apart) == {"router", "recorder", "gnss", "imu", *VEHICLE.running}
     one = registry.node_names(replace(VEHICLE, separate=("ekf",)))
     assert {"processors", "ekf"} < set(one)
     assert "distance" not in one
@@ -111,7 +111,7 @@ def test_processors_share_one_node_but_for_those_with_one_of_their_own() -> None
         vehicle = replace(VEHICLE, separate=separate)
         node = registry.make_node("processors", vehicle, LocalBus(), threading.Event())
         assert isinstance(node, ProcessorNode)
-        joint = [name for name in VEHICLE.processors if name not in separate]
+        joint = [name for name in VEHICLE.running if name not in separate]
         assert [each.name for each in node.processors] == joint
 
 

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tramstream.clock import S
+from tramstream.events.kinds import Event
 from tramstream.live import snapshots
+from tramstream.live.events import SNAPSHOT_UNREADABLE
 from tramstream.processor import Processor, Sample, State
 from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
 
@@ -109,9 +111,8 @@ def test_what_could_run_code_is_refused() -> None:
 def test_file_brings_the_memory_back(tmp_path: Path) -> None:
     path = tmp_path / "processors.snapshot"
     snapshots.save(path, snapshot_of(Memory("a", 5), Memory("b", np.arange(3))))
-    found, sentence = snapshots.load(path, NOW_NS + S)
-    assert found is not None
-    assert sentence == ""
+    found = snapshots.load(path, NOW_NS + S)
+    assert isinstance(found, Snapshot)
     a, b = Memory("a"), Memory("b")
     assert snapshots.restore(found, [b, a])
     assert a.value == 5
@@ -120,7 +121,7 @@ def test_file_brings_the_memory_back(tmp_path: Path) -> None:
 
 
 def test_absent_file_is_no_news(tmp_path: Path) -> None:
-    assert snapshots.load(tmp_path / "none", NOW_NS) == (None, "")
+    assert snapshots.load(tmp_path / "none", NOW_NS) is None
 
 
 def test_file_cut_at_any_byte_is_refused_or_of_other_processors(tmp_path: Path) -> None:
@@ -128,19 +129,19 @@ def test_file_cut_at_any_byte_is_refused_or_of_other_processors(tmp_path: Path) 
     whole = snapshot_of(Memory("a", 5), Memory("b", np.arange(3))).SerializeToString()
     for size in range(len(whole)):
         path.write_bytes(whole[:size])
-        found, _ = snapshots.load(path, NOW_NS)
+        found = snapshots.load(path, NOW_NS)
         a, b = Memory("a", "untouched"), Memory("b", "untouched")
-        assert found is None or not snapshots.restore(found, [a, b])
+        assert not isinstance(found, Snapshot) or not snapshots.restore(found, [a, b])
         assert (a.value, b.value) == ("untouched", "untouched")
 
 
 def test_file_that_is_no_snapshot_is_named(tmp_path: Path) -> None:
     path = tmp_path / "s"
     path.write_bytes(b"\xff" * 40)
-    found, sentence = snapshots.load(path, NOW_NS)
-    assert found is None
-    assert str(path) in sentence
-    assert snapshots.load(tmp_path, NOW_NS)[1].startswith(str(tmp_path))  # a folder
+    for place in (path, tmp_path):  # a folder
+        found = snapshots.load(place, NOW_NS)
+        assert isinstance(found, Event)
+        assert (found.kind, found.facts["path"]) == (SNAPSHOT_UNREADABLE, str(place))
 
 
 @pytest.mark.parametrize(
@@ -149,9 +150,8 @@ def test_file_that_is_no_snapshot_is_named(tmp_path: Path) -> None:
 def test_only_young_memory_is_worth_anything(tmp_path: Path, age_s: float, young: bool) -> None:
     path = tmp_path / "s"
     snapshots.save(path, snapshot_of(Memory()))
-    found, sentence = snapshots.load(path, NOW_NS + round(age_s * S))
-    assert (found is not None) == young
-    assert sentence == ""
+    found = snapshots.load(path, NOW_NS + round(age_s * S))
+    assert isinstance(found, Snapshot) if young else found is None
 
 
 def test_memory_of_other_processors_is_not_taken() -> None:

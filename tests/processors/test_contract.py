@@ -9,15 +9,24 @@ from pathlib import Path
 
 import pytest
 from installed import COMFORT, install, put_on_path
+from msgspec.structs import replace
 
+from tramstream import keys
+from tramstream.config import Map
+from tramstream.graph import Graph
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Processor, Sample
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.warm_up import one_track
 from tramstream.recorder.reprocess.contract import ProcessorContract
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
+
+LOW_MPS2 = 0.01
+"""Limit that even a vehicle that stands exceeds again and again."""
 
 
 @cache
@@ -57,6 +66,37 @@ class TestLocalisationFilter(Contract):
         return [DistanceFilter(ride().vehicle)]
 
 
+class TestMapMatcher(Contract):
+    """With the filter that it corrects: they feed each other."""
+
+    @pytest.fixture(autouse=True)
+    def _mapped(self, tmp_path: Path) -> None:
+        network = tmp_path / "line.tracks"
+        one_track(ride().line).save(network)
+        self.vehicle = replace(ride().vehicle, map=Map(network=str(network), std_m=0.1))
+
+    def make(self) -> list[Processor]:
+        made = (Resampler, LocalisationFilter, MapMatcher)
+        return [each(self.vehicle) for each in made]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(self.vehicle)]
+
+    def test_filter_takes_what_the_matcher_says(self) -> None:
+        graph = Graph(self.make())
+        said = [each for sample in sent() for each in graph.step(sample)]
+        assert not [each for each in said if each.key is keys.EST_LATE]
+        taken = [
+            each
+            for state in said
+            if state.key is keys.EST_STATE
+            for each in state.message.innovations
+            if each.measurement == "track_across"
+        ]
+        assert len(taken) > 10
+        assert all(each.accepted for each in taken)
+
+
 class TestForeignProcessor(Contract):
     @pytest.fixture(autouse=True)
     def _installed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +104,19 @@ class TestForeignProcessor(Contract):
         self.module = importlib.import_module("comfort")
 
     def make(self) -> list[Processor]:
-        return [Resampler(ride().vehicle), self.module.Comfort(ride().vehicle)]
+        comfort = self.module.Comfort(ride().vehicle)
+        comfort.settings = self.module.Settings(limit_mps2=LOW_MPS2)
+        return [Resampler(ride().vehicle), comfort]
+
+    def test_its_events_are_among_what_is_tested(self) -> None:
+        (kind,) = self.module.Comfort.events
+        key = keys.EVENT.at("comfort").path
+        graph = Graph(self.make())
+        made = [each for sample in sent() for each in graph.step(sample)]
+        told = [each.message for each in made if each.key.path == key]
+        assert {event.kind for event in told} == {kind.name}
+        assert len(told) > 1
+        assert all(event.unsaid > 0 for event in told[1:])
 
     def others(self) -> list[Processor]:
         return [LocalisationFilter(ride().vehicle)]

@@ -18,8 +18,10 @@ from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.events.messages import facts_of
 from tramstream.keys import Key
 from tramstream.live import registry
+from tramstream.live.events import FUTURE_STAMP, NOT_USED, UNDECODABLE
 from tramstream.live.host import ProcessorNode
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch
@@ -133,9 +135,10 @@ def test_attack_is_refused_counted_named_and_repeated(
     assert books.received == books.delivered + books.dropped + books.pending
     assert books.dropped == ride.injected
     told = next(b for b in ride.ear.heard(keys.HEARTBEAT) if b.state == NodeHealth.DEGRADED)
-    assert "messages not used" in told.text
     cause = ATTACKS[attack][2]
-    assert any(Loss.Cause.Name(cause) in log.message for log in ride.ear.heard(keys.LOG))
+    kind = {Loss.UNDECODABLE: UNDECODABLE, Loss.STAMP: FUTURE_STAMP}[cause].name
+    assert {kind, NOT_USED.name} <= {trouble.kind for trouble in told.troubles}
+    assert kind in [event.kind for event in ride.ear.heard(keys.EVENT)]
     named = [loss for loss in ride.ear.heard(keys.LOSS) if loss.cause == cause]
     assert sum(loss.count for loss in named) == ride.injected
     # Reprocessing leaves out exactly the same.
@@ -172,5 +175,9 @@ def test_device_whose_clock_is_ahead_for_good_is_refused_as_long_as_it_is_ahead(
     assert ear.heard(keys.SYNC_TICK) == []
     beats = ear.heard(keys.HEARTBEAT)[2:]
     assert all(beat.state == NodeHealth.DEGRADED for beat in beats)
-    assert "3600.000 s ahead of their arrival, limit 0.5 s" in beats[-1].text
-    assert len([log for log in ear.heard(keys.LOG) if "STAMP" in log.message]) == 6
+    facts = facts_of(beats[-1].troubles[0])
+    assert facts == {"key": keys.IMU_BATCH.on(VEHICLE), "ahead_s": 3600.0, "limit_s": 0.5}
+    assert "has stamps 3600 s ahead of their arrival, limit 0.5 s" in beats[-1].text
+    events = [event for event in ear.heard(keys.EVENT) if event.kind == FUTURE_STAMP.name]
+    assert len(events) == 6
+    assert [event.unsaid for event in events] == [0, *[99] * 5]

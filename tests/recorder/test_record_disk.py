@@ -16,6 +16,15 @@ from record_samples import START_NS, VEHICLE, active, plain, read, traffic
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Recorder
 from tramstream.proto.health_pb2 import NodeHealth
+from tramstream.recorder.events import (
+    EMPTY_DELETED,
+    FOLDER_REFUSED,
+    NO_SPACE,
+    PART_DELETED,
+    PART_REPAIRED,
+    SPACE_HELD,
+)
+from tramstream.recorder.file.events import DISK_REFUSES
 from tramstream.recorder.file.repair import REDO
 from tramstream.recorder.file.sink import Worker
 from tramstream.recorder.reader import open_record
@@ -105,10 +114,10 @@ def test_start_repairs_what_was_left(recording, tmp_path):
     active(tmp_path / "4711_a_01.mcap", traffic(100), 30)
     (tmp_path / "4711_b_01.mcap.active").write_bytes(b"")
     (tmp_path / "gone.mcap.repair").write_bytes(b"rest")
-    sentences = recording.start()
-    assert len(sentences) == 2
-    assert "100 messages" in sentences[0]
-    assert "deleted" in sentences[1]
+    repaired, deleted = recording.start()
+    assert repaired.kind is PART_REPAIRED
+    assert (repaired.facts["part"], repaired.facts["messages"]) == ("4711_a_01.mcap.active", 100)
+    assert deleted == EMPTY_DELETED(part="4711_b_01.mcap.active")
     assert [path.name for path in tmp_path.glob("*.mcap*")] == ["4711_a_01.mcap"]
     assert read(tmp_path / "4711_a_01.mcap") == plain(traffic(100))
     assert not list(tmp_path.glob(f"*{REDO}"))
@@ -139,15 +148,18 @@ def test_oldest_unprotected_record_goes_first(tmp_path):
     space = FreeSpace(tmp_path, 300_000, Disk(tmp_path, 850_000).free)
     space.check(0)
     assert [path.exists() for path in paths] == [True, False, False, True, True]
-    assert len(space.sentences) == 2
-    assert "4711_20260902" in space.sentences[0]
-    assert space.blocked == ""
+    assert [event.kind for event in space.events] == [PART_DELETED, PART_DELETED]
+    assert space.events[0].facts["part"] == paths[1].name
+    assert space.events[0].facts["free_bytes"] < space.floor_bytes
+    assert space.blocked is None
     space.floor_bytes = 800_000
     space.check(0)
     assert [path.exists() for path in paths] == [True, False, False, False, False]
     assert (tmp_path / "mine.mcap").exists()
     assert (tmp_path / "4711_20260801T120000Z_01.mcap.active").exists()
-    assert "recording stopped" in space.blocked
+    free_bytes = space._free_bytes(tmp_path)
+    facts = {"free_bytes": free_bytes, "floor_bytes": 800_000}
+    assert space.blocked == NO_SPACE(folder=tmp_path, **facts)
 
 
 def test_deleting_stops_while_deleted_bytes_are_not_free(tmp_path):
@@ -156,10 +168,10 @@ def test_deleting_stops_while_deleted_bytes_are_not_free(tmp_path):
     space = FreeSpace(tmp_path, 10_000, lambda folder: 5_000)
     space.check(0)
     assert [path.exists() for path in paths] == [False, True, True, True]
-    assert "may still read it" in space.sentences[0]
+    assert space.events[1] == SPACE_HELD(part=paths[0].name)
     space.check(S)
     assert paths[1].exists()
-    assert space.blocked == ""
+    assert space.blocked is None
     space.check(61 * S)
     assert not paths[1].exists()
 
@@ -173,7 +185,8 @@ def test_recording_stops_below_the_floor_counts_and_resumes(recording, time, tmp
     recording.flush()
     feed(recording, time, sent[100:200], flush_every=10)
     assert recording.state == NodeHealth.FAILED
-    assert "recording stopped" in recording.text
+    assert recording.trouble is not None
+    assert recording.trouble.kind is NO_SPACE
     losses = recording.take_losses()
     assert sum(loss.count for loss in losses) == 100
     first = next(loss for loss in losses if loss.topic == sent[100].topic)
@@ -206,7 +219,9 @@ def test_refused_write_is_cut_off_and_tried_again(recording, time, tmp_path, mon
     feed(recording, time, sent[100:200])
     assert sink.path.stat().st_size == good
     assert recording.state == NodeHealth.DEGRADED
-    assert "disk is full" in recording.text
+    assert recording.trouble.kind is DISK_REFUSES
+    assert recording.trouble.facts["reason"] == "the disk is full"
+    assert recording.trouble.facts["waiting_bytes"] > 0
     assert read(sink.path) == plain(sent[:100])
     room[0] = 1 << 40
     feed(recording, time, sent[200:])
@@ -238,7 +253,8 @@ def test_failed_sync_makes_the_recording_go_on_in_another_file(recording, time, 
     disk.before = refusing("sync", errno.EIO)
     feed(recording, time, sent[100:150], flush_every=10)
     assert recording.part == 1
-    assert "replace it" in recording.text
+    assert recording.trouble.kind is DISK_REFUSES
+    assert recording.trouble.facts["advice"] == "replace it"
     time.ns += 11 * S
     recording.flush()
     disk.before = before
@@ -285,7 +301,8 @@ def test_folder_that_cannot_be_made_is_told_and_tried_again(tmp_path, time):
     assert recording.start() == []
     feed(recording, time, traffic(10))
     assert recording.state == NodeHealth.FAILED
-    assert "cannot be made" in recording.text
+    assert recording.trouble.kind is FOLDER_REFUSED
+    assert recording.trouble.facts["folder"] == str(blocker / "records")
     assert sum(loss.count for loss in recording.take_losses()) == 10
     blocker.unlink()
     recording.flush()
@@ -312,7 +329,7 @@ recording = Recording(
 )
 recording.start()
 append(recording, traffic(3000), 100)
-states = recording.state, recording.text
+states = recording.state, recording.trouble
 print(recording.close(), sum(loss.count for loss in recording.take_losses()), sep=";")
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +17,13 @@ from tramstream import keys
 from tramstream.boundary import described
 from tramstream.clock import S
 from tramstream.config import Recorder
+from tramstream.events.messages import sentence_of
+from tramstream.events.repeats import AGAIN_NS, MOST
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.proto.resend_pb2 import ResendAnswer
-from tramstream.recorder.mentions import SENTENCES
-from tramstream.recorder.node import UNSAID_S, RecorderNode
+from tramstream.recorder.events import KEY_OF_OTHERS, TOO_MANY_KEYS
+from tramstream.recorder.node import RecorderNode
 from tramstream.recorder.reader import open_record
 from tramstream.transport.bus import Envelope, LocalBus
 from tramstream.transport.sources import MOST_TOPICS
@@ -161,15 +164,17 @@ def test_flood_of_made_up_keys_is_told_in_few_sentences_and_remembered_in_few_pl
         Script(
             flood,
             lambda: recorder.drain(),
-            lambda: clock.advance(UNSAID_S),
+            lambda: clock.advance(AGAIN_NS / S),
             lambda: fix.send(keys.GNSS_FIX, GnssFix()),
         ),
     )
     recorder.run()
-    texts = [log.message for log in ear.heard(keys.LOG.at("recorder"))]
-    about = [text for text in texts if "/health/" in text or text.startswith("health/")]
-    assert len(about) <= SENTENCES < len(texts) <= SENTENCES + 3
-    assert sum("more sentences about keys of strangers" in text for text in texts) in (1, 2)
+    told = Counter(event.kind for event in ear.heard(keys.EVENT.at("recorder")))
+    assert MOST < told[TOO_MANY_KEYS.name] <= MOST + 3
+    assert sum(told.values()) <= 3 * (MOST + 3)
+    told_of = [e for e in ear.heard(keys.EVENT.at("recorder")) if e.kind == TOO_MANY_KEYS.name]
+    left_out = sum(1 + event.unsaid for event in told_of)
+    assert left_out == recorder.ledgers()[-1].dropped  # each is in one count
     assert fixes(tmp_path) == [1]
     assert len(recorder._kinds) <= MOST_TOPICS + 10
     assert len(recorder._gaps._streams) <= MOST_TOPICS + 10
@@ -261,5 +266,6 @@ def test_key_of_no_vehicle_of_ours_is_not_recorded(tmp_path: Path) -> None:
     recorder = node(bus, tmp_path, Script(lambda: recorder.handle(envelope)))
     envelope = Envelope("elsewhere/x/y", b"", "", 1, 1, 7, 1)
     recorder.run()
-    texts = [log.message for log in ear.heard(keys.LOG.at("recorder"))]
-    assert any("elsewhere/x/y: not recorded" in text for text in texts)
+    (event,) = ear.heard(keys.EVENT.at("recorder"))
+    assert event.kind == KEY_OF_OTHERS.name
+    assert sentence_of(event).startswith("elsewhere/x/y: not recorded")

@@ -15,11 +15,14 @@ from scripted import VEHICLE, Ear, ManualClock, Script, Sender
 
 from tramstream import config_file, keys
 from tramstream.config import Recorder
+from tramstream.events.messages import facts_of
 from tramstream.live import registry
+from tramstream.live.events import SECOND_PUBLISHER
 from tramstream.live.host import ProcessorNode
 from tramstream.proto.health_pb2 import NodeHealth
 from tramstream.recorder.columns import read_ride
 from tramstream.recorder.describe import describe
+from tramstream.recorder.events import SECOND_PUBLISHER as RECORDED_APART
 from tramstream.recorder.geojson import geojson
 from tramstream.recorder.node import RecorderNode
 from tramstream.recorder.reader import open_record
@@ -153,10 +156,10 @@ def test_second_receiver_and_a_stranger_are_not_used_and_kept_apart(
     assert books.dropped == ride.sent[SECOND] + ride.sent[0]
     assert books.received == books.delivered + books.dropped
     assert any(b.state == NodeHealth.DEGRADED for b in beats)
-    logs = [log.message for log in ride.ear.heard(keys.LOG)]
-    assert any("is from a second publisher, receiver2 (session 000000bb)" in log for log in logs)
-    assert any("a stranger without our header" in log for log in logs)
-    assert any("it is recorded as" in log for log in logs)
+    told = [(event.kind, facts_of(event)) for event in ride.ear.heard(keys.EVENT)]
+    unused = [facts["who"] for kind, facts in told if kind == SECOND_PUBLISHER.name]
+    assert set(unused) == {"receiver2 (session 000000bb)", "a stranger without our header"}
+    assert any(kind == RECORDED_APART.name for kind, _ in told)
     checked(ride, tmp_path)
 
 
@@ -201,7 +204,8 @@ def test_receiver_that_is_started_again_is_used_at_once_and_nothing_is_said(
     assert found[keys.GNSS_FIX.path] == ride.sent[FIRST] + ride.sent[SECOND]
     assert not any(keys.is_apart(path) for path in found)
     assert ride.node.refusals.count == 0
-    assert not [log for log in ride.ear.heard(keys.LOG) if "second" in log.message]
+    seconds = {SECOND_PUBLISHER.name, RECORDED_APART.name}
+    assert not [event for event in ride.ear.heard(keys.EVENT) if event.kind in seconds]
     checked(ride, tmp_path)
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from scripted import ManualClock
+from scripted import VEHICLE, Ear, ManualClock
 
+from tramstream import keys
+from tramstream.events.messages import facts_of
 from tramstream.supervision import vehicle
+from tramstream.supervision.events import NODE_ENDED
+from tramstream.supervision.voice import Voice
 from tramstream.transport.bus import LocalBus
 
 
@@ -60,3 +64,20 @@ def test_bugs_in_voice_watch_and_screen_are_told_and_end_nothing() -> None:
     assert len(said) == 1  # with its trace, once in a while
     assert "ValueError: a bug in the voice" in said[0]
     assert "Traceback" in said[0]
+
+
+def test_what_the_supervisor_does_is_said_once_and_stands_on_the_bus() -> None:
+    bus, said, ended = LocalBus(ManualClock()), [], NODE_ENDED(node="imu", status=-9, again_s=0.2)
+    ear = Ear(bus)
+    voice = Voice(bus, VEHICLE, said.append, Failing(), lambda: 0.0)  # type: ignore[arg-type]
+    teller = vehicle.Teller(VEHICLE, said.append)
+    teller.tell(ended)  # there is no bus yet
+    teller.bus = bus
+    teller.tell(ended)
+    voice.speak()
+    assert said == [str(ended)] * 2
+    (event,) = ear.heard(keys.EVENT.at("supervisor"))
+    (log,) = ear.heard(keys.LOG.at("supervisor"))
+    assert (event.kind, facts_of(event)) == (ended.kind.name, ended.facts)
+    assert (log.message, log.line) == (str(ended), event.sequence)
+    assert log.timestamp.ToNanoseconds() == event.stamp_ns > 0

@@ -15,7 +15,8 @@ import msgspec
 import pytest
 from live import HANG_S, SLEEP, until
 
-from tramstream.supervision import roster
+from tramstream.events.kinds import Event
+from tramstream.supervision import events, roster
 from tramstream.supervision.roster import NOBODY, REST, Proc, Roster
 from tramstream.supervision.succession import ORPHAN_S, Orphan
 
@@ -45,7 +46,7 @@ class Scene:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.stop = Look()
-        self.said: list[str] = []
+        self.told: list[Event] = []
 
     def write(self, **fields: object) -> None:
         known = Roster(boot=roster.fresh().boot, supervisor=GONE, claimed=True, command=("none",))
@@ -54,7 +55,7 @@ class Scene:
     def watch(self, starts_successor: bool = False) -> float:
         """Play the node until it ends; return when that was."""
         Orphan(
-            self.folder, self.stop, self.said.append, starts_successor, lambda: self.stop.now_s
+            self.folder, self.stop, self.told.append, starts_successor, lambda: self.stop.now_s
         ).watch()
         assert self.stop.is_set()
         return self.stop.now_s
@@ -81,7 +82,7 @@ def test_node_without_any_supervisor_ends_after_ten_seconds(scene: Scene, known:
     if known:
         scene.write()
     assert scene.watch() == pytest.approx(ORPHAN_S, abs=1.0)
-    assert any("no supervisor for 10 s" in line for line in scene.said)
+    assert events.NO_SUPERVISOR(limit_s=10.0) in scene.told
 
 
 def test_node_goes_on_under_a_new_supervisor(scene: Scene) -> None:
@@ -114,7 +115,7 @@ def test_router_starts_the_successor_and_the_node_waits_for_it(scene: Scene) -> 
     scene.write(command=(sys.executable, "-c", program, REST), ends_s=100.0)
     scene.watch(starts_successor=True)
     assert 80.0 < float(out.read_text()) <= 100.0
-    assert any("has vanished; process" in line for line in scene.said)
+    assert events.TAKEN_OVER in [event.kind for event in scene.told]
     known = roster.read(scene.folder)
     assert known is not None
     assert not known.claimed  # it has never begun its work
@@ -126,13 +127,13 @@ def test_successor_that_ends_at_its_start_is_tried_again_and_then_given_up(scene
     scene.write(command=(sys.executable, "-c", program))
     scene.watch(starts_successor=True)
     assert 2 <= len(tries.read_text()) <= ORPHAN_S / 2.0 + 1
-    assert any("no supervisor for 10 s" in line for line in scene.said)
+    assert events.NO_SUPERVISOR(limit_s=10.0) in scene.told
 
 
 def test_command_that_cannot_be_started_is_said(scene: Scene) -> None:
     scene.write(command=("/nowhere/tramstream",))
     scene.watch(starts_successor=True)
-    assert any("no successor can be started" in line for line in scene.said)
+    assert events.NO_SUCCESSOR in [event.kind for event in scene.told]
 
 
 def test_router_starts_nobody_while_somebody_takes_the_place(scene: Scene) -> None:

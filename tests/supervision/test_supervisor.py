@@ -18,8 +18,9 @@ from scripted import ManualClock
 from tramstream import config_file, keys, plugins
 from tramstream.config import Bus, Gnss, Imu, Simulator, Vehicle
 from tramstream.errors import BusError, NodeError
+from tramstream.events.kinds import Event
 from tramstream.live import registry
-from tramstream.supervision import hearing, roster, supervisor
+from tramstream.supervision import events, hearing, roster, supervisor
 from tramstream.supervision.child import BACKOFF_MAX_S, GOOD_RUN_S
 from tramstream.supervision.process import Running
 from tramstream.supervision.roster import Proc
@@ -72,14 +73,14 @@ class Scene:
         self.started: list[tuple[str, float]] = []
         self.processes: dict[str, FakeProcess] = {}
         self.signals: list[str] = []
-        self.said: list[str] = []
+        self.told: list[Event] = []
         self.bus = LocalBus(ManualClock())
         self.ends_at_start: set[str] = set()
         self.deaf: set[FakeProcess] = set()
         """Recorders that do not answer."""
         self.bus.answer(keys.farewell("t1"), self._answer)
         self.plan = Plan(self.vehicle, Path("t.toml"), successor=("run", roster.REST))
-        self.supervisor = Supervisor(self.plan, self.said.append, self._start, lambda: self.now_s)
+        self.supervisor = Supervisor(self.plan, self.told.append, self._start, lambda: self.now_s)
 
     def _start(self, name: str) -> Running:
         self.started.append((name, self.now_s))
@@ -168,7 +169,7 @@ def test_stubborn_node_is_killed_at_the_end(scene: Scene) -> None:
     scene.processes["imu"].frozen = True
     scene.supervisor.stop_nodes(None)
     assert "imu SIGKILL" in scene.signals
-    assert any("node imu does not end" in line for line in scene.said)
+    assert events.DOES_NOT_END(node="imu") in scene.told
 
 
 def test_recorder_that_hears_is_ended_last_and_no_other_is_started(scene: Scene) -> None:
@@ -176,7 +177,7 @@ def test_recorder_that_hears_is_ended_last_and_no_other_is_started(scene: Scene)
     scene.stop()
     assert scene.signals[-1] == "recorder SIGTERM"
     assert len(scene.starts_of("recorder")) == 1
-    assert scene.supervisor.unheard == ""
+    assert scene.supervisor.unheard is None
 
 
 @pytest.mark.parametrize("how", ["frozen", "dead"])
@@ -196,7 +197,7 @@ def test_recorder_that_does_not_hear_is_replaced_before_the_first_publisher_ends
     assert scene.signals[: len(kills)] == kills
     assert sorted(scene.signals[len(kills) : -1]) == sorted(f"{name} SIGTERM" for name in others)
     assert scene.signals[-1] == "recorder SIGTERM"
-    assert scene.supervisor.unheard == ""
+    assert scene.supervisor.unheard is None
 
 
 def test_question_that_a_full_link_drops_is_put_again(scene: Scene) -> None:
@@ -223,9 +224,10 @@ def test_recorder_that_cannot_be_started_is_said_and_the_nodes_end(scene: Scene)
     scene.processes["recorder"].ends_with = 1
     scene.ends_at_start.add("recorder")
     scene.stop()
-    assert "node recorder ended with status 2 at its start" in scene.said
+    reason = "node recorder ended with status 2 at its start"
+    assert events.NOT_STARTED(reason=reason, advice="") in scene.told
     assert "imu SIGTERM" in scene.signals
-    assert scene.supervisor.unheard == "node recorder did not hear the others end"
+    assert scene.supervisor.unheard == events.RECORDER_DEAF(node="recorder")
 
 
 def test_recorder_that_answers_while_the_bus_is_away_is_not_killed(scene: Scene) -> None:
@@ -256,15 +258,14 @@ def test_recorder_that_does_not_end_in_order_is_said(scene: Scene, how: str) -> 
 
         scene.processes["imu"].send = last_breath  # type: ignore[method-assign]
     scene.stop()
-    assert (
-        scene.supervisor.unheard
-        == {
-            "stubborn": "node recorder ended with status -9 at the end",
-            "gone": "node recorder was gone at the end",
-            "failing": "node recorder ended with status 1 at the end",
-        }[how]
-    )
-    assert any("what was published last may be missing" in line for line in scene.said)
+    ends = {
+        "stubborn": "ended with status -9",
+        "gone": "was gone",
+        "failing": "ended with status 1",
+    }
+    broken_off = events.RECORDER_BROKEN_OFF(node="recorder", how=ends[how])
+    assert scene.supervisor.unheard == broken_off
+    assert broken_off in scene.told
 
 
 def test_node_that_ends_at_its_start_ends_the_run_with_its_status(scene: Scene) -> None:
@@ -318,7 +319,8 @@ def test_node_that_lived_long_is_started_again_at_once(scene: Scene) -> None:
     died_s = scene.now_s
     scene.go_on(1.0)
     assert scene.starts_of("imu")[-1] - died_s < 0.5
-    assert any("node imu ended with status 1; starting it again" in line for line in scene.said)
+    assert scene.told[-1].kind is events.NODE_ENDED
+    assert scene.told[-1].facts == {"node": "imu", "status": 1, "again_s": 0.2}
 
 
 # Freezing -----------------------------------------------------------------------------------------
@@ -329,8 +331,8 @@ def test_frozen_node_is_said_killed_and_replaced(scene: Scene) -> None:
     frozen.frozen = True
     begin_s = scene.now_s
     scene.go_on(8.0, "recorder")
-    assert "node recorder has given no heartbeat for 3 s" in scene.said
-    assert any("no heartbeat for 5 s; killing it" in line for line in scene.said)
+    assert events.NODE_SILENT(node="recorder", limit_s=3.0) in scene.told
+    assert events.NODE_FROZEN(node="recorder", limit_s=5.0) in scene.told
     assert scene.signals == ["recorder SIGKILL"]
     assert scene.processes["recorder"] is not frozen
     assert scene.starts_of("recorder")[-1] - begin_s < 6.5
@@ -354,13 +356,13 @@ def test_supervisor_that_stood_still_kills_nobody(scene: Scene) -> None:
     scene.now_s += 600.0  # stopped by a signal, or the machine slept
     scene.go_on(20.0)
     assert scene.signals == []
-    assert scene.said == []
+    assert scene.told == []
 
 
 def test_slow_clock_makes_heartbeats_rare_and_kills_nobody(folder: Path) -> None:
     scene = Scene(folder)
     slow = Plan(scene.vehicle, Path("t.toml"), rate=0.1)
-    scene.supervisor = Supervisor(slow, scene.said.append, scene._start, lambda: scene.now_s)
+    scene.supervisor = Supervisor(slow, scene.told.append, scene._start, lambda: scene.now_s)
     scene.begin()
     for _ in range(5):
         for name, process in scene.processes.items():
@@ -418,7 +420,7 @@ def test_living_nodes_are_taken_over_and_only_the_missing_are_started(
     sleepers["imu"].wait()
     scene.go_on(1.0, *scene.processes)
     assert scene.starts_of("imu")
-    assert "node imu ended; starting it again in 0.2 s" in scene.said
+    assert events.NODE_GONE(node="imu", again_s=0.2) in scene.told
     scene.supervisor.stop_nodes(None)
     scene.supervisor.stop_router()
     assert all(child.wait(HANG_S) == -signal.SIGTERM for name, child in sleepers.items()
@@ -455,7 +457,7 @@ def test_frozen_router_that_was_taken_over_is_replaced_before_anything_else(
     assert scene.supervisor.join(connect) is scene.bus
     assert sleepers["router"].wait(HANG_S) == -signal.SIGKILL
     assert len(scene.starts_of("router")) == 1
-    assert "node router does not answer; killing it" in scene.said
+    assert events.NO_ANSWER(node="router") in scene.told
 
 
 def test_second_supervisor_of_a_folder_is_refused_and_the_first_goes_on(scene: Scene) -> None:
@@ -465,7 +467,7 @@ def test_second_supervisor_of_a_folder_is_refused_and_the_first_goes_on(scene: S
         assert known is not None
         process = Proc.of(other.pid)
         roster.write(scene.vehicle.runtime_dir, msgspec.structs.replace(known, supervisor=process))
-        second = Supervisor(scene.plan, scene.said.append, scene._start)
+        second = Supervisor(scene.plan, scene.told.append, scene._start)
         with pytest.raises(BusError, match=f"`kill {other.pid}` ends it"):
             second.claim()
         other.kill()
@@ -496,4 +498,6 @@ def test_vehicle_runs_on_when_the_roster_cannot_be_written(
     scene.processes["imu"].ends_with = 1
     scene.go_on(1.0)
     assert len(scene.starts_of("imu")) == 2
-    assert any("No space left on device" in line for line in scene.said)
+    folder = scene.vehicle.runtime_dir
+    refused = events.ROSTER_REFUSED(folder=folder, reason="No space left on device")
+    assert refused in scene.told

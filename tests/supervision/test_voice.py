@@ -10,11 +10,14 @@ from scripted import VEHICLE, ManualClock, Sender
 
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
+from tramstream.events import define
+from tramstream.events.messages import message_of
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import Loss, NodeHealth
 from tramstream.supervision.voice import RING_CAPACITY, Voice
 from tramstream.transport.bus import LocalBus
 
+LATE = define("test.late", "{device} is late by {late_s}", device=str, late_s=float)
 HEARD = (keys.HEARTBEAT, keys.LOSS, keys.LOG)
 
 
@@ -41,16 +44,41 @@ class Scene:
 def test_nodes_speak_and_a_state_is_told_when_it_changes() -> None:
     scene = Scene()
     scene.put(keys.LOG.at("imu"), Log(name="imu", message="opened again").SerializeToString())
-    for text in ("", "late by 3 s", "late by 4 s", "", ""):
-        beat = NodeHealth(node="imu", pid=42, text=text)
+    late = [
+        LATE(device="a", late_s=3.0),
+        LATE(device="a", late_s=4.0),
+        LATE(device="b", late_s=4.0),
+    ]
+    for trouble in (None, *late, None, None):
+        beat = NodeHealth(node="imu", pid=42, text="" if trouble is None else str(trouble))
+        beat.troubles.extend([] if trouble is None else [message_of(trouble)])
         scene.put(keys.HEARTBEAT.at("imu"), beat.SerializeToString())
     scene.voice.speak()
     assert sorted(scene.said) == [
+        "imu: a is late by 3 s",  # and not again for other seconds
         "imu: all is well again",
-        "imu: late by 3 s",
+        "imu: b is late by 4 s",
         "imu: opened again",
     ]
-    assert scene.beats == [("imu", 42)] * 5
+    assert scene.beats == [("imu", 42)] * 6
+
+
+def test_details_are_for_whoever_looks_for_something() -> None:
+    scene = Scene()
+    for level in (Log.DEBUG, Log.INFO):
+        log = Log(name="ekf", message="a wheel", level=level)
+        scene.put(keys.LOG.at("ekf"), log.SerializeToString())
+    scene.voice.speak()
+    assert scene.said == ["ekf: a wheel"]
+
+
+def test_state_of_a_program_that_knows_no_events_is_told_by_its_text() -> None:
+    scene = Scene()
+    for text in ("", "late", "late", ""):
+        beat = NodeHealth(node="imu", pid=42, text=text)
+        scene.put(keys.HEARTBEAT.at("imu"), beat.SerializeToString())
+    scene.voice.speak()
+    assert scene.said == ["imu: late", "imu: all is well again"]
 
 
 def test_messages_of_three_and_six_bytes_are_said_and_left_out() -> None:
@@ -60,11 +88,11 @@ def test_messages_of_three_and_six_bytes_are_said_and_left_out() -> None:
     scene.voice.speak()
     assert scene.voice.left_out == 2
     assert len(scene.said) == 1  # once in a while
-    assert "health/x/heartbeat: 6 bytes are no tramstream.NodeHealth; left out" in scene.said[0]
+    assert "health/x/heartbeat: 6 B are no tramstream.NodeHealth; left out" in scene.said[0]
     scene.now_s += 60.0
     scene.put(keys.LOG.at("x"), b"\x0a\xff\xff")
     scene.voice.speak()
-    assert "health/x/log: 3 bytes are no foxglove.Log" in scene.said[1]
+    assert "health/x/log: 3 B are no foxglove.Log" in scene.said[1]
     assert "3 so far" in scene.said[1]
 
 

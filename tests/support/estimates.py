@@ -16,9 +16,13 @@ from networks import LEVEL, Array
 from numpy.random import Generator
 
 from tramstream.clock import S
-from tramstream.estimation.localiser import COVARIANCE, TRACKING, Estimate, OnTrack, values_of
+from tramstream.estimation.localiser import COVARIANCE, TRACKING, Estimate, values_of
+from tramstream.estimation.track import CERTAIN, LocalTrack, OnTrack
 from tramstream.geodesy import LocalLevel, convergence_rad
 from tramstream.lines.line import Line
+from tramstream.processors.matching import hypotheses as kernels
+from tramstream.processors.matching.matcher import Match, Matcher
+from tramstream.tracks.map_frame import MapFrame
 
 FILTER_LEVEL = LocalLevel.at_deg(50.10, 14.45, 190.0)
 """Of the estimates: 3 km away, 60 m lower."""
@@ -90,7 +94,7 @@ class Obeying:
         self.P = both * self.P + (1.0 - both) * self._initial
 
     def take(self, told: OnTrack) -> None:
-        """See `tramstream.estimation.localiser.Localiser.constrain`."""
+        """Take how far the estimate is off the track."""
         east, north, bend = told.normal_east, told.normal_north, told.bend_per_m
         H = np.array([[east, north, 0.0], [-bend * north, bend * east, 1.0]])
         S = H @ self.P @ H.T + np.diag([told.across_variance, told.yaw_variance])
@@ -105,6 +109,22 @@ class Obeying:
         covariance = values[COVARIANCE:].reshape(7, 7)
         covariance[np.ix_([0, 1, 6], [0, 1, 6])] = self.P
         return replace(estimate, values=values)
+
+
+def told(matcher: Matcher, match: Match, frame: MapFrame) -> OnTrack | None:
+    """What a filter makes of a match whose estimate is the matcher's last; in its frame `l`."""
+    circle = match.circle
+    if circle is None or circle.probability < CERTAIN:
+        return None
+    track = LocalTrack(0, *circle[3:7], *(circle[k] for k in (10, 7, 8, 11, 12, 13)))
+    on_track = track.told(matcher.east, matcher.north, matcher.yaw_rad)
+    assert on_track is not None, "a circle that does not stand for where it was asked"
+    turn = float(frame.numbers[kernels.ROTATION])
+    east, north = on_track.normal_east, on_track.normal_north
+    cos, sin = math.cos(turn), math.sin(turn)
+    return on_track._replace(
+        normal_east=cos * east + sin * north, normal_north=cos * north - sin * east
+    )
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def test_reader_comes_back_with_its_interface(reading: Reading) -> None:
 
     sh("ip link set vcan0 down")
     wait_for("noticed that it is down", reading.is_lost)
-    wait_for("says so", lambda: "interface is down" in reading.reader.health()[1])
+    wait_for("says so", lambda: "interface is down" in str(reading.reader.health()[1]))
     sh("ip link set vcan0 up")
     took_s = wait_for("open again", reading.is_open)
     Sender().send(2)
@@ -172,7 +172,7 @@ def test_reader_comes_back_with_its_interface(reading: Reading) -> None:
     print(f"\nopen {took_s:.1f} s after the link was up", end="")
 
     remove("vcan0")
-    wait_for("noticed that it is gone", lambda: "no such" in reading.reader.health()[1])
+    wait_for("noticed that it is gone", lambda: "no such" in str(reading.reader.health()[1]))
     make_vcan()
     took_s = wait_for("open again", reading.is_open)
     Sender().send(3)

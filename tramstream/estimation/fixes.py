@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import math
 
+from tramstream import keys
+from tramstream.estimation.events import (
+    FIX_NO_NUMBER,
+    FIX_NOWHERE,
+    FIX_TOO_FAR,
+    FIX_TOO_HIGH,
+    FIX_TOO_POOR,
+)
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
 from tramstream.proto.gnss_pb2 import GnssFix
 
+_KEY = keys.GNSS_FIX.path
 UNSTATED_STD_M = 5.0
 """Horizontal deviation of a fix whose receiver states none, m."""
 WORST_STD_M = 1000.0
@@ -34,29 +44,31 @@ def deviations(fix: GnssFix, floor_m: float) -> tuple[float, float]:
     return max(horizontal / math.sqrt(2.0), floor_m), max(vertical, floor_m)
 
 
-def unusable(fix: GnssFix, level: LocalLevel | None) -> str:
-    """Why a fix that the receiver calls valid cannot be used; empty if it can."""
+def unusable(fix: GnssFix, level: LocalLevel | None) -> Event | None:
+    """Why a fix that the receiver calls valid cannot be used; None if it can."""
     values = (fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
     if not all(math.isfinite(value) for value in values):
-        return "a fix with a position that is no number"
+        return FIX_NO_NUMBER(key=_KEY)
     if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0:
-        return "a fix that is nowhere on the Earth"
+        latitude, longitude = fix.latitude_deg, fix.longitude_deg
+        return FIX_NOWHERE(key=_KEY, latitude_deg=latitude, longitude_deg=longitude)
     if abs(fix.height_ellipsoid_m) > HIGHEST_M:
-        return "a fix that is not near the ground"
+        return FIX_TOO_HIGH(key=_KEY, height_m=fix.height_ellipsoid_m, limit_m=HIGHEST_M)
     if fix.horizontal_std_m > WORST_STD_M and math.isfinite(fix.horizontal_std_m):
-        return "a fix that is good to a kilometre at best"
-    if level is not None and _is_far(fix, level):
-        return "a fix hundreds of kilometres away from where the ride began"
-    return ""
+        return FIX_TOO_POOR(key=_KEY, accuracy_m=fix.horizontal_std_m, limit_m=WORST_STD_M)
+    away_m = 0.0 if level is None else _away_m(fix, level)
+    if not away_m < FAR_M:
+        return FIX_TOO_FAR(key=_KEY, distance_m=away_m, limit_m=FAR_M)
+    return None
 
 
-def _is_far(fix: GnssFix, level: LocalLevel) -> bool:
-    """Whether a fix cannot be of a ride that began at the origin of `level`."""
+def _away_m(fix: GnssFix, level: LocalLevel) -> float:
+    """How far a fix is from the origin of `level`, on a sphere."""
     radius = 6_371_000.0
     north = (math.radians(fix.latitude_deg) - level.latitude_rad) * radius
     east = math.remainder(math.radians(fix.longitude_deg) - level.longitude_rad, math.tau)
     east *= radius * math.cos(level.latitude_rad)
-    return not math.hypot(north, east) < FAR_M
+    return math.hypot(north, east)
 
 
 def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:

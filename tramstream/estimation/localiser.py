@@ -14,6 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tramstream.estimation.track import LocalTrack
+from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
 from tramstream.processor import State
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -39,28 +41,6 @@ class Learned(NamedTuple):
     value: float
     std: float
     unit: str
-
-
-class OnTrack(NamedTuple):
-    """That the vehicle is on a track of which the estimate is off: a measurement by the map.
-
-    Variances are those of white noise once a metre that tells as much as the map does.
-    """
-
-    normal_east: float
-    normal_north: float
-    """Left unit normal of the track, in `l`."""
-    across_m: float
-    """How far left of the track the estimate is."""
-    yaw_off_rad: float
-    """How much further left than along the track it heads."""
-    bend_per_m: float
-    """How much the track turns left for each metre that the vehicle goes along it."""
-    across_variance: float
-    yaw_variance: float
-    grade_rad: float
-    """Uphill positive along x of the vehicle; NaN where the map does not know."""
-    grade_variance: float
 
 
 ACCELERATION, YAW_RATE, COVARIANCE = 7, 8, 9
@@ -151,8 +131,8 @@ class Localiser(Protocol):
     def see(self, mean: ImuMean) -> None:
         """Take an inertial mean that is newer than the last frame; they come in order."""
 
-    def constrain(self, on_track: OnTrack) -> None:
-        """Take that the last estimate is of a vehicle on a track."""
+    def follow(self, track: LocalTrack) -> bool:
+        """Take that the vehicle was on a track a moment ago; False if that cannot be used."""
 
     def ahead(self) -> Estimate | None:
         """Predict from the last frame to the newest mean that was seen."""
@@ -160,8 +140,8 @@ class Localiser(Protocol):
     def learned(self) -> list[Learned]:
         """Biases, scales, offsets as they stand."""
 
-    def complaints(self) -> list[str]:
-        """Sentences about bad input since the last call, for health."""
+    def complaints(self) -> list[Event]:
+        """What was wrong with its input since the last call, for health."""
 
     def snapshot(self) -> State:
         """Memory as plain data that shares nothing with the filter."""

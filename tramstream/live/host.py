@@ -19,9 +19,18 @@ from typing import Any
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
 from tramstream.clock import S
+from tramstream.events.kinds import Event
+from tramstream.events.messages import message_of
 from tramstream.graph import Graph
 from tramstream.keys import Key
 from tramstream.live import snapshots
+from tramstream.live.events import (
+    FUTURE_STAMP,
+    MEMORY_OF_OTHERS,
+    MEMORY_TAKEN,
+    SECOND_PUBLISHER,
+    UNDECODABLE,
+)
 from tramstream.live.node import Node
 from tramstream.live.ports import Port, PortReader
 from tramstream.live.stamps import MAX_AHEAD_NS, ahead_ns
@@ -80,6 +89,8 @@ class ProcessorNode(Node):
         self.processors = list(processors)
         self.readers = [PortReader(port, self._from_port(port), stop) for port in ports]
         self.graph = Graph(processors, self.fault)
+        if keys.EVENT.at(name).path in self.graph.outputs:
+            self.source = f"{name}-node"  # two cannot number one key
         self._by_topic: dict[str, Key] = {}
         self._positions: dict[str, Position] = {}
         self._raw: dict[str, list[Any]] = {}
@@ -91,6 +102,9 @@ class ProcessorNode(Node):
         self._session = int.from_bytes(os.urandom(8), "little")
         self._memory = memory or Memory()
         self._last_snapshot_ns = self._recorded_snapshot_ns = 0
+        self._remembers = False  # whether it goes on from its predecessor's memory
+        self._began: Snapshot | None = None  # with what, until it has been said
+        self._taken: set[str] | None = None  # keys of which inputs were taken
 
     # Setting up ----------------------------------------------------------------------------------
     def expressions(self) -> list[str]:
@@ -109,6 +123,10 @@ class ProcessorNode(Node):
             self._take_snapshot(start=True)
             self.every(TICK_S, self.tick)
         elif self._memory.path is not None:
+            self._began, self._taken = self._remembered(start=True), set()
+            if not self._remembers:
+                for each in self._began.states:
+                    each.ClearField("state")
             self.every(SNAPSHOT_S, self._take_snapshot)
         if self.readers:
             self.every(RAW_S, self.publish_raw)
@@ -141,17 +159,17 @@ class ProcessorNode(Node):
         path = self._memory.path
         if path is None:
             return
-        state, sentence = snapshots.load(path, self.clock.now_ns())
-        if sentence:
-            self.log(sentence)
-        if state is None:
+        state = snapshots.load(path, self.clock.now_ns())
+        if isinstance(state, Event):
+            self.tell(state)
+        if not isinstance(state, Snapshot):
             return
         same = state.configuration == self._memory.settings
         if same and snapshots.restore(state, self.processors):
-            self._tick_sequence = state.tick_sequence
-            self.log(f"{self.name} goes on from the memory of its predecessor")
+            self._tick_sequence, self._remembers = state.tick_sequence, True
+            self.tell(MEMORY_TAKEN(node=self.name))
         else:
-            self.log(f"{path}: of other processors or settings; starting afresh")
+            self.tell(MEMORY_OF_OTHERS(path=path))
 
     # One item ------------------------------------------------------------------------------------
     def _from_port(self, port: Port) -> Any:
@@ -163,16 +181,16 @@ class ProcessorNode(Node):
         key = self._by_topic.get(topic)
         if key is None:
             who = self.sources.name(envelope.session)
-            self._refuse(envelope, Loss.SOURCE, f"is from a second publisher, {who}")
+            self._refuse(envelope, Loss.SOURCE, SECOND_PUBLISHER(key=topic, who=who))
             return
         message = decode(key.type, envelope.payload, topic)
         if isinstance(message, Undecodable):
-            self._refuse(envelope, Loss.UNDECODABLE, f"holds bytes that are {message.reason}")
+            why = UNDECODABLE(key=topic, reason=message.reason)
+            self._refuse(envelope, Loss.UNDECODABLE, why)
             return
         ahead = ahead_ns(message, envelope.arrival_ns)
         if ahead > MAX_AHEAD_NS:
-            limit_s = MAX_AHEAD_NS / S
-            why = f"has stamps {ahead / S:.3f} s ahead of their arrival, limit {limit_s:g} s"
+            why = FUTURE_STAMP(key=topic, ahead_s=ahead / S, limit_s=MAX_AHEAD_NS / S)
             self._refuse(envelope, Loss.STAMP, why)
             return
         if self.refusals.runs:
@@ -180,10 +198,13 @@ class ProcessorNode(Node):
         sample = Sample(key, message, message.stamp_ns, envelope.sequence, envelope.publish_ns)
         if self._ticks:
             self._note(sample, envelope.arrival_ns)
+        elif self._taken is not None and key.path not in self._taken:
+            self._tell_first(sample, self._taken)
         self.dispatch(sample)
 
-    def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: str) -> None:
+    def _refuse(self, envelope: Envelope, cause: Loss.Cause, why: Event) -> None:
         self.refusals.refuse(envelope, cause, why, self.clock.now_ns())
+        self.tell(why)
 
     def handle_item(self, item: Any) -> None:
         """Keep the raw bytes for the record, whatever the decoder then makes of them."""
@@ -233,9 +254,20 @@ class ProcessorNode(Node):
         if self.clock.now_ns() - self._last_snapshot_ns > SNAPSHOT_S * S:
             self._take_snapshot()
 
-    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
-        now_ns = self._last_snapshot_ns = self.clock.now_ns()
-        message = Snapshot(
+    def _tell_first(self, sample: Sample, taken: set[str]) -> None:
+        """Name the first input of a key before it is taken, and with what this process began."""
+        taken.add(sample.key.path)
+        message = self._began or Snapshot(session=self._session)
+        self._began = None
+        message.positions.add(
+            key=sample.key.path,
+            first_publish_ns=sample.publish_ns,
+            first_stamp_ns=sample.stamp_ns,
+        )
+        self.publish(keys.MEMORY.at(self.name), message)
+
+    def _remembered(self, start: bool = False) -> Snapshot:
+        return Snapshot(
             session=self._session,
             start=start,
             tick_sequence=self._tick_sequence,
@@ -243,6 +275,10 @@ class ProcessorNode(Node):
             states=snapshots.take(self.processors),
             configuration=self._memory.settings,
         )
+
+    def _take_snapshot(self, start: bool = False, end: bool = False) -> None:
+        now_ns = self._last_snapshot_ns = self.clock.now_ns()
+        message = self._remembered(start)
         due = start or end or now_ns - self._recorded_snapshot_ns >= SNAPSHOT_RECORDED_S * S
         if self._ticks and due:
             self._recorded_snapshot_ns = now_ns
@@ -268,15 +304,16 @@ class ProcessorNode(Node):
         self.put(key, message, message.sequence)
 
     def device_health(self) -> None:
-        texts = []
+        self.troubles = []
         for reader in self.readers:
-            state, text = reader.health()
-            texts.append(text)
+            state, trouble = reader.health()
+            self.troubles += [] if trouble is None else [trouble]
             message = DeviceHealth(
                 device=self.name,
                 port=reader.port.device,
                 state=state,
-                text=text,
+                text="" if trouble is None else str(trouble),
+                trouble=None if trouble is None else message_of(trouble),
                 opened=reader.opened,
                 bytes_received=reader.bytes_received,
                 silence_s=reader.silence_s,
@@ -289,7 +326,6 @@ class ProcessorNode(Node):
                     elif value is not None:
                         setattr(message, name, value)
             self.publish(keys.DEVICE.at(self.name), message)
-        self.trouble = "; ".join(text for text in texts if text)
 
     def ledgers(self) -> list[Ledger]:
         inside = [ledger for processor in self.processors for ledger in processor.ledgers()]

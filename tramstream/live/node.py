@@ -16,12 +16,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.events.kinds import Event
+from tramstream.events.messages import log_of, message_of
+from tramstream.events.repeats import Repeats
 from tramstream.keys import Key
+from tramstream.live.events import FAULT, FAULTY
 from tramstream.live.refusals import Refusals
 from tramstream.processor import Ledger, Sample, stamp
 from tramstream.proto.health_pb2 import NodeHealth, StageLedger
@@ -35,8 +38,6 @@ RING_CAPACITY = 8192
 IDLE_S = 0.2
 """Longest wait of the loop: how fast it notices that it shall stop."""
 HEARTBEAT_S = 1.0
-TRACE_AGAIN_S = 10.0
-"""A fault that repeats is told so often: two hundred traces a second would fill the record."""
 
 
 class _Timer:
@@ -74,10 +75,12 @@ class Node(ABC):
         self.refusals = Refusals(name)
         self.sources = Sources(lambda: bus.announced(keys.alive(vehicle, keys.ANY_SOURCE)))
         self.faults = 0
-        self.trouble = ""
-        """One sentence when something is wrong; part of the heartbeat."""
+        self.troubles: list[Event] = []
+        """What is wrong now; part of the heartbeat."""
+        self.source = name
+        """Of its events; another than `name` where a processor of that name tells some too."""
+        self._repeats = Repeats()
         self._fault_text = ""
-        self._fault_told_ns = 0
         self._sequences: dict[str, int] = {}
         self._topics: dict[str, tuple[str, str]] = {}
         self._timers: list[_Timer] = []
@@ -207,11 +210,11 @@ class Node(ABC):
                 self.fault(error)
 
     # What it says --------------------------------------------------------------------------------
-    def publish(self, key: Key, message: Any) -> int:
-        """Number, stamp (now) and publish a message of the node's own."""
+    def publish(self, key: Key, message: Any, stamp_ns: int = 0) -> int:
+        """Number, stamp (now, if not told otherwise) and publish a message of the node's own."""
         sequence = self._sequences.get(key.path, 0) + 1
         self._sequences[key.path] = sequence
-        stamp(message, self.clock.now_ns(), sequence)
+        stamp(message, stamp_ns or self.clock.now_ns(), sequence)
         return self.put(key, message, sequence)
 
     def send(self, sample: Sample) -> int:
@@ -224,40 +227,45 @@ class Node(ABC):
             known = self._topics[key.path] = (key.on(self.vehicle), key.encoding)
         return self.bus.publish(known[0], message.SerializeToString(), known[1], sequence)
 
-    def log(self, text: str, level: Log.Level.ValueType = Log.WARNING) -> None:
-        """Say one sentence on `health/<node>/log`."""
-        message = Log(level=level, message=_printable(text), name=self.name)
-        self.publish(keys.LOG.at(self.name), message)
+    def tell(self, event: Event) -> None:
+        """Say what happened on `health/<node>/event`; the same again only now and then."""
+        unsaid = self._repeats.take(event, self.clock.now_ns())
+        if unsaid is not None:
+            self._publish_event(event, unsaid)
+
+    def _publish_event(self, event: Event, unsaid: int) -> None:
+        message = message_of(event, self.source, unsaid)
+        self.publish(keys.EVENT.at(self.source), message)
+        self.publish(keys.LOG.at(self.source), log_of(message), message.stamp_ns)
 
     def fault(self, error: Exception) -> None:
         """An exception out of a stage: a bug. Publish it, count it, go on."""
         self.faults += 1
-        before, self._fault_text = self._fault_text, _printable(f"{type(error).__name__}: {error}")
-        now_ns = self.clock.now_ns()
-        if self._fault_text != before or now_ns - self._fault_told_ns >= TRACE_AGAIN_S * S:
-            self._fault_told_ns = now_ns
-            self.log("".join(traceback.format_exception(error)), Log.ERROR)
+        self._fault_text = f"{type(error).__name__}: {error}"
+        trace = "".join(traceback.format_exception(error)).rstrip()
+        self.tell(FAULT(error=self._fault_text, trace=trace))
 
     def tell_refusals(self) -> None:
-        """Name what was read and not used since the last time; say the news of it."""
+        """Name what was read and not used since the last time."""
         for loss in self.refusals.take_losses():
             self.publish(keys.LOSS.at(self.name), loss)
-        for sentence in self.refusals.take_sentences(self.clock.now_ns()):
-            self.log(sentence)
 
     def heartbeat(self) -> None:
         usage = resource.getrusage(resource.RUSAGE_SELF)
         self.tell_refusals()
-        refused = self.refusals.text(self.clock.now_ns())
-        text = _printable("; ".join(filter(None, (self.trouble, refused))))
-        if self.faults and not text:
-            text = f"{self.faults} faults, last {self._fault_text}; trace in health/{self.name}/log"
+        now_ns = self.clock.now_ns()
+        for event, more in self._repeats.overdue(now_ns):
+            self._publish_event(event, more)
+        troubles = [*self.troubles, *self.refusals.troubles(now_ns)]
+        if self.faults and not troubles:
+            troubles = [FAULTY(faults=self.faults, error=self._fault_text, node=self.source)]
         self.publish(
             keys.HEARTBEAT.at(self.name),
             NodeHealth(
                 node=self.name,
-                state=NodeHealth.DEGRADED if text else NodeHealth.OK,
-                text=text,
+                state=NodeHealth.DEGRADED if troubles else NodeHealth.OK,
+                text="; ".join(map(str, troubles)),
+                troubles=[message_of(event) for event in troubles],
                 pid=os.getpid(),
                 uptime_s=time.monotonic() - self._started_s,
                 cpu_s=usage.ru_utime + usage.ru_stime,
@@ -278,11 +286,6 @@ def _stage(ledger: Ledger) -> StageLedger:
         dropped=ledger.dropped,
         pending=ledger.pending,
     )
-
-
-def _printable(text: str) -> str:
-    """Text that protobuf takes: a file or device may be named by bytes that are none."""
-    return text.encode(errors="backslashreplace").decode()
 
 
 def _rss_bytes() -> int:

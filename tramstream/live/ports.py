@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 from tramstream.errors import DeviceError
+from tramstream.events.kinds import Event
 from tramstream.keys import Key
+from tramstream.live.events import DEVICE_AWAY, DEVICE_NOT_OPENED, DEVICE_SILENT, PORT_FAILED
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
@@ -66,7 +68,7 @@ class PortReader:
     ) -> None:
         self.port = port
         self.state: DeviceHealth.State = DeviceHealth.LOST
-        self.text = f"{port.device}: not opened yet"
+        self.trouble: Event | None = DEVICE_NOT_OPENED(device=port.device)
         self.opened = 0
         self.bytes_received = 0
         self._deliver = deliver
@@ -88,23 +90,24 @@ class PortReader:
     def silence_s(self) -> float:
         return self._monotonic_s() - self._last_s
 
-    def health(self) -> tuple[DeviceHealth.State, str]:
-        """State now and one sentence, empty while all is well."""
-        if self.state == DeviceHealth.OPEN and self.silence_s > SILENT_S:
-            return DeviceHealth.SILENT, (
-                f"{self.port.device}: open, but silent for {self.silence_s:.0f} s; check power, "
-                "cable and bit rate"
-            )
-        return self.state, self.text
+    def health(self) -> tuple[DeviceHealth.State, Event | None]:
+        """State now and what is wrong, None while all is well."""
+        device, silence_s = self.port.device, self.silence_s
+        if self.state == DeviceHealth.OPEN and silence_s > SILENT_S:
+            silent = DEVICE_SILENT(device=device, silence_s=round(silence_s), limit_s=SILENT_S)
+            return DeviceHealth.SILENT, silent
+        return self.state, self.trouble
 
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
                 self._read_until_lost()
             except DeviceError as error:
-                self.state, self.text = DeviceHealth.LOST, str(error)
+                away = DEVICE_AWAY(device=self.port.device, reason=error.reason, advice=error.cure)
+                self.state, self.trouble = DeviceHealth.LOST, away
             except Exception as error:  # noqa: BLE001  the boundary of a thread: told, not hidden
-                self.state, self.text = DeviceHealth.LOST, f"{self.port.device}: {error!r}"
+                failed = PORT_FAILED(device=self.port.device, error=repr(error))
+                self.state, self.trouble = DeviceHealth.LOST, failed
                 self._deliver(error)
             self._stop.wait(self._backoff_s)
             self._backoff_s = min(2 * self._backoff_s, BACKOFF_MAX_S)
@@ -114,7 +117,7 @@ class PortReader:
             self.port.open()
             self.opened += 1
             self._last_s = self._monotonic_s()
-            self.state, self.text = DeviceHealth.OPEN, ""
+            self.state, self.trouble = DeviceHealth.OPEN, None
             while not self._stop.is_set():
                 message = self.port.read()
                 if message is not None:

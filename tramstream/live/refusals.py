@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tramstream.boundary import name_of
 from tramstream.clock import S
+from tramstream.events.kinds import Event
+from tramstream.live.events import NOT_USED
 from tramstream.processor import Ledger
 from tramstream.proto.health_pb2 import Loss
 from tramstream.transport.bus import Envelope
 
-TOLD_AGAIN_S = 10.0
-"""What repeats is told so often."""
 LASTS_S = 10.0
 """So long after the last refusal the heartbeat says so: one round of what is told."""
-MOST_KINDS = 100
-"""Kinds told one by one (a stranger may invent topics); the others are counted together."""
 
 
 @dataclass(slots=True)
@@ -31,16 +28,6 @@ class _Run:
     count: int
     first_publish_ns: int
     last_publish_ns: int
-
-
-@dataclass(slots=True)
-class _Kind:
-    """Everything that was refused of one topic for one cause."""
-
-    count: int = 0
-    told: int = 0
-    told_ns: int = 0
-    why: str = ""
 
 
 class Refusals:
@@ -57,22 +44,15 @@ class Refusals:
         self.runs: dict[str, _Run] = {}
         """By topic; not yet named. Whoever uses a message of such a topic closes its run."""
         self._consumer = consumer
-        self._kinds: dict[tuple[str, int], _Kind] = {}
         self._closed: list[tuple[str, _Run]] = []
         self._last_ns = 0
-        self._last_text = ""
+        self._last: Event | None = None
 
-    def refuse(self, envelope: Envelope, cause: Loss.Cause, why: str, now_ns: int) -> None:
-        """Take note of a message that is not used; `why` is the sentence's predicate."""
+    def refuse(self, envelope: Envelope, cause: Loss.Cause, why: Event, now_ns: int) -> None:
+        """Take note of a message that is not used."""
         topic = envelope.topic
         self.count += 1
-        place = (topic, int(cause))
-        if place not in self._kinds and len(self._kinds) >= MOST_KINDS:
-            place = ("other keys", int(cause))
-        kind = self._kinds.setdefault(place, _Kind())
-        kind.count += 1
-        kind.why = why
-        self._last_ns, self._last_text = now_ns, f"{place[0]} {why}"
+        self._last_ns, self._last = now_ns, why
         if cause == Loss.SOURCE:
             return  # the record has it under a topic of its own
         run = self.runs.get(topic)
@@ -106,22 +86,11 @@ class Refusals:
             for topic, run in closed
         ]
 
-    def take_sentences(self, now_ns: int) -> list[str]:
-        """What is to be told now."""
-        sentences = []
-        for (topic, cause), kind in self._kinds.items():
-            due = kind.told == 0 or now_ns - kind.told_ns >= TOLD_AGAIN_S * S
-            if kind.count > kind.told and due:
-                kind.told, kind.told_ns = kind.count, now_ns
-                name = name_of(Loss.Cause, cause)
-                sentences.append(f"{topic} {kind.why}; {kind.count} not used so far ({name})")
-        return sentences
-
-    def text(self, now_ns: int) -> str:
-        """One sentence while it lasts, else nothing."""
-        if not self.count or now_ns - self._last_ns > LASTS_S * S:
-            return ""
-        return f"{self._last_text}; {self.count} messages not used in all"
+    def troubles(self, now_ns: int) -> list[Event]:
+        """What to say of it while it lasts, else nothing."""
+        if self._last is None or now_ns - self._last_ns > LASTS_S * S:
+            return []
+        return [self._last, NOT_USED(not_used=self.count)]
 
     def ledger(self, received: int, pending: int) -> Ledger:
         """Books of a node that has judged all but `pending` of `received` messages."""

@@ -21,14 +21,14 @@ PROCESSORS = "processors"
 
 
 def make_processors(vehicle: Vehicle) -> list[Processor]:
-    """All processors that the configuration names, fresh and in its order.
+    """All processors that the configuration asks for, fresh and in its order.
 
     Raises
     ------
     ConfigError
         If one of them is not installed.
     """
-    return [make_processor(name, vehicle) for name in vehicle.processors]
+    return [make_processor(name, vehicle) for name in vehicle.running]
 
 
 def make_processor(name: str, vehicle: Vehicle) -> Processor:
@@ -44,12 +44,13 @@ def configured_bridges(vehicle: Vehicle) -> list[str]:
 
 def joint(vehicle: Vehicle) -> list[str]:
     """Processors that share one process."""
-    return [name for name in vehicle.processors if name not in vehicle.separate]
+    return [name for name in vehicle.running if name not in vehicle.separate]
 
 
 def node_names(vehicle: Vehicle) -> list[str]:
     """Nodes that `vehicle` needs, in the order in which they start; they end in the reverse one."""
-    processors = [*([PROCESSORS] if joint(vehicle) else []), *vehicle.separate]
+    apart = [name for name in vehicle.separate if name in vehicle.running]
+    processors = [*([PROCESSORS] if joint(vehicle) else []), *apart]
     simulators = ["simulators"] if vehicle.simulators else []
     return [router.NAME, "recorder", *simulators, *processors, *configured_bridges(vehicle)]
 
@@ -67,7 +68,7 @@ def check_node(name: str, vehicle: Vehicle) -> None:
     if name not in known:
         raise ConfigError(plugins.unknown("node", name, known))
     if name in bridges and not config_file.has_section(vehicle, name):
-        raise ConfigError(f"node {name}: the configuration has no section [{name}]; add one")
+        raise ConfigError(f"node {name}: the configuration has no section [{name}]", cure="add one")
 
 
 def make_node(name: str, vehicle: Vehicle, bus: Bus, stop: threading.Event) -> Node:
@@ -98,7 +99,7 @@ def _ticks(own: list[str], vehicle: Vehicle) -> bool:
     There is one maker of ticks on a vehicle; a node of its own that reads them has them off the
     bus, like anything else.
     """
-    for name in [*vehicle.processors, *own]:
+    for name in [*vehicle.running, *own]:
         if keys.SYNC_TICK in plugins.load("processors", name).inputs:
             return name in own
     return False

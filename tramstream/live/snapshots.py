@@ -17,6 +17,8 @@ from google.protobuf.message import DecodeError
 from tramstream import private
 from tramstream.arrays import read_npy
 from tramstream.clock import S
+from tramstream.events.kinds import Event
+from tramstream.live.events import SNAPSHOT_UNREADABLE
 from tramstream.processor import Processor
 from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
 
@@ -93,15 +95,13 @@ def save(path: Path, snapshot: Snapshot) -> None:
     private.write(path, snapshot.SerializeToString())
 
 
-def load(path: Path, now_ns: int) -> tuple[Snapshot | None, str]:
-    """The snapshot in `path` if it is young enough, and a sentence if there is something to say."""
+def load(path: Path, now_ns: int) -> Snapshot | Event | None:
+    """The snapshot in `path` if it is young enough; what is wrong if it cannot be read."""
     try:
         snapshot = Snapshot.FromString(path.read_bytes())
     except FileNotFoundError:
-        return None, ""
+        return None
     except (OSError, DecodeError) as error:
-        return None, f"{path}: the snapshot cannot be read ({error}); starting afresh"
+        return SNAPSHOT_UNREADABLE(path=path, reason=error)
     age_s = (now_ns - snapshot.stamp_ns) / S
-    if not 0 <= age_s <= MAX_AGE_S:
-        return None, ""
-    return snapshot, ""
+    return snapshot if 0 <= age_s <= MAX_AGE_S else None

@@ -214,10 +214,11 @@ class Row(Kind):
     def __init__(self, kind: Any, inner: list[Kind]) -> None:
         self._make = kind._make if hasattr(kind, "_make") else tuple
         self._inner = inner
-        self._shared = all(isinstance(each, Value) for each in inner)
+        self.shared: bool = all(isinstance(each, Value) or _shared(each) for each in inner)
+        """Whether nobody can change what is in it either."""
 
     def copy(self, value: Any) -> Any:
-        if self._shared:
+        if self.shared:
             return value
         return self._make(kind.copy(each) for kind, each in zip(self._inner, value, strict=True))
 
@@ -229,6 +230,10 @@ class Row(Kind):
             raise _unfit(path, value, f"not {len(self._inner)} values")
         pairs = zip(self._inner, value, strict=True)
         return self._make(kind.read(each, path) for kind, each in pairs)
+
+
+def _shared(kind: Kind) -> bool:
+    return isinstance(kind, Row) and kind.shared
 
 
 class Dictionary(Kind):

@@ -196,3 +196,41 @@ class MapMatch(_message.Message):
     alternatives: _containers.RepeatedCompositeFieldContainer[MapAlternative]
     references: _containers.RepeatedCompositeFieldContainer[LineReference]
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., state: _Optional[_Union[MapMatch.State, str]] = ..., edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., chainage_std_m: _Optional[float] = ..., probability: _Optional[float] = ..., off_probability: _Optional[float] = ..., side: _Optional[_Union[MapMatch.Side, str]] = ..., standing: _Optional[bool] = ..., direction_known: _Optional[bool] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., alternatives: _Optional[_Iterable[_Union[MapAlternative, _Mapping]]] = ..., references: _Optional[_Iterable[_Union[LineReference, _Mapping]]] = ...) -> None: ...
+
+class TrackGeometry(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "edge", "run", "chainage_m", "probability", "latitude_deg", "longitude_deg", "yaw_rad", "curvature_per_m", "grade_rad", "across_variance_m2", "yaw_variance_rad2", "curvature_variance_per_m2", "grade_variance_rad2", "ahead_m", "behind_m")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    YAW_RAD_FIELD_NUMBER: _ClassVar[int]
+    CURVATURE_PER_M_FIELD_NUMBER: _ClassVar[int]
+    GRADE_RAD_FIELD_NUMBER: _ClassVar[int]
+    ACROSS_VARIANCE_M2_FIELD_NUMBER: _ClassVar[int]
+    YAW_VARIANCE_RAD2_FIELD_NUMBER: _ClassVar[int]
+    CURVATURE_VARIANCE_PER_M2_FIELD_NUMBER: _ClassVar[int]
+    GRADE_VARIANCE_RAD2_FIELD_NUMBER: _ClassVar[int]
+    AHEAD_M_FIELD_NUMBER: _ClassVar[int]
+    BEHIND_M_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    edge: str
+    run: int
+    chainage_m: float
+    probability: float
+    latitude_deg: float
+    longitude_deg: float
+    yaw_rad: float
+    curvature_per_m: float
+    grade_rad: float
+    across_variance_m2: float
+    yaw_variance_rad2: float
+    curvature_variance_per_m2: float
+    grade_variance_rad2: float
+    ahead_m: float
+    behind_m: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., probability: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., curvature_per_m: _Optional[float] = ..., grade_rad: _Optional[float] = ..., across_variance_m2: _Optional[float] = ..., yaw_variance_rad2: _Optional[float] = ..., curvature_variance_per_m2: _Optional[float] = ..., grade_variance_rad2: _Optional[float] = ..., ahead_m: _Optional[float] = ..., behind_m: _Optional[float] = ...) -> None: ...

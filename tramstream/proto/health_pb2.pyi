@@ -7,6 +7,52 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class Event(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "source", "kind", "severity", "facts", "sentence", "cure", "unsaid")
+    class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        INFO: _ClassVar[Event.Severity]
+        WARNING: _ClassVar[Event.Severity]
+        ERROR: _ClassVar[Event.Severity]
+        DEBUG: _ClassVar[Event.Severity]
+    INFO: Event.Severity
+    WARNING: Event.Severity
+    ERROR: Event.Severity
+    DEBUG: Event.Severity
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    SEVERITY_FIELD_NUMBER: _ClassVar[int]
+    FACTS_FIELD_NUMBER: _ClassVar[int]
+    SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    CURE_FIELD_NUMBER: _ClassVar[int]
+    UNSAID_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    source: str
+    kind: str
+    severity: Event.Severity
+    facts: _containers.RepeatedCompositeFieldContainer[Fact]
+    sentence: str
+    cure: str
+    unsaid: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., kind: _Optional[str] = ..., severity: _Optional[_Union[Event.Severity, str]] = ..., facts: _Optional[_Iterable[_Union[Fact, _Mapping]]] = ..., sentence: _Optional[str] = ..., cure: _Optional[str] = ..., unsaid: _Optional[int] = ...) -> None: ...
+
+class Fact(_message.Message):
+    __slots__ = ("name", "unit", "number", "integer", "text")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    INTEGER_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    unit: str
+    number: float
+    integer: int
+    text: str
+    def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., number: _Optional[float] = ..., integer: _Optional[int] = ..., text: _Optional[str] = ...) -> None: ...
+
 class StageLedger(_message.Message):
     __slots__ = ("stage", "unit", "received", "delivered", "dropped", "pending")
     STAGE_FIELD_NUMBER: _ClassVar[int]
@@ -24,7 +70,7 @@ class StageLedger(_message.Message):
     def __init__(self, stage: _Optional[str] = ..., unit: _Optional[str] = ..., received: _Optional[int] = ..., delivered: _Optional[int] = ..., dropped: _Optional[int] = ..., pending: _Optional[int] = ...) -> None: ...
 
 class NodeHealth(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "node", "state", "text", "pid", "uptime_s", "cpu_s", "rss_bytes", "messages_lost", "faults", "stages")
+    __slots__ = ("stamp_ns", "sequence", "node", "state", "text", "pid", "uptime_s", "cpu_s", "rss_bytes", "messages_lost", "faults", "stages", "troubles")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         OK: _ClassVar[NodeHealth.State]
@@ -45,6 +91,7 @@ class NodeHealth(_message.Message):
     MESSAGES_LOST_FIELD_NUMBER: _ClassVar[int]
     FAULTS_FIELD_NUMBER: _ClassVar[int]
     STAGES_FIELD_NUMBER: _ClassVar[int]
+    TROUBLES_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     node: str
@@ -57,10 +104,11 @@ class NodeHealth(_message.Message):
     messages_lost: int
     faults: int
     stages: _containers.RepeatedCompositeFieldContainer[StageLedger]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., node: _Optional[str] = ..., state: _Optional[_Union[NodeHealth.State, str]] = ..., text: _Optional[str] = ..., pid: _Optional[int] = ..., uptime_s: _Optional[float] = ..., cpu_s: _Optional[float] = ..., rss_bytes: _Optional[int] = ..., messages_lost: _Optional[int] = ..., faults: _Optional[int] = ..., stages: _Optional[_Iterable[_Union[StageLedger, _Mapping]]] = ...) -> None: ...
+    troubles: _containers.RepeatedCompositeFieldContainer[Event]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., node: _Optional[str] = ..., state: _Optional[_Union[NodeHealth.State, str]] = ..., text: _Optional[str] = ..., pid: _Optional[int] = ..., uptime_s: _Optional[float] = ..., cpu_s: _Optional[float] = ..., rss_bytes: _Optional[int] = ..., messages_lost: _Optional[int] = ..., faults: _Optional[int] = ..., stages: _Optional[_Iterable[_Union[StageLedger, _Mapping]]] = ..., troubles: _Optional[_Iterable[_Union[Event, _Mapping]]] = ...) -> None: ...
 
 class DeviceHealth(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "device", "port", "state", "text", "opened", "bytes_received", "messages_decoded", "frames_rejected", "bytes_rejected", "samples_lost", "silence_s", "clock_offset_s", "clock_skew_ppm", "clock_residual_s", "rejected_by_reason")
+    __slots__ = ("stamp_ns", "sequence", "device", "port", "state", "text", "opened", "bytes_received", "messages_decoded", "frames_rejected", "bytes_rejected", "samples_lost", "silence_s", "clock_offset_s", "clock_skew_ppm", "clock_residual_s", "rejected_by_reason", "trouble")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         OPEN: _ClassVar[DeviceHealth.State]
@@ -93,6 +141,7 @@ class DeviceHealth(_message.Message):
     CLOCK_SKEW_PPM_FIELD_NUMBER: _ClassVar[int]
     CLOCK_RESIDUAL_S_FIELD_NUMBER: _ClassVar[int]
     REJECTED_BY_REASON_FIELD_NUMBER: _ClassVar[int]
+    TROUBLE_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     device: str
@@ -110,7 +159,8 @@ class DeviceHealth(_message.Message):
     clock_skew_ppm: float
     clock_residual_s: float
     rejected_by_reason: _containers.ScalarMap[str, int]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., port: _Optional[str] = ..., state: _Optional[_Union[DeviceHealth.State, str]] = ..., text: _Optional[str] = ..., opened: _Optional[int] = ..., bytes_received: _Optional[int] = ..., messages_decoded: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., bytes_rejected: _Optional[int] = ..., samples_lost: _Optional[int] = ..., silence_s: _Optional[float] = ..., clock_offset_s: _Optional[float] = ..., clock_skew_ppm: _Optional[float] = ..., clock_residual_s: _Optional[float] = ..., rejected_by_reason: _Optional[_Mapping[str, int]] = ...) -> None: ...
+    trouble: Event
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., port: _Optional[str] = ..., state: _Optional[_Union[DeviceHealth.State, str]] = ..., text: _Optional[str] = ..., opened: _Optional[int] = ..., bytes_received: _Optional[int] = ..., messages_decoded: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., bytes_rejected: _Optional[int] = ..., samples_lost: _Optional[int] = ..., silence_s: _Optional[float] = ..., clock_offset_s: _Optional[float] = ..., clock_skew_ppm: _Optional[float] = ..., clock_residual_s: _Optional[float] = ..., rejected_by_reason: _Optional[_Mapping[str, int]] = ..., trouble: _Optional[_Union[Event, _Mapping]] = ...) -> None: ...
 
 class Loss(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "consumer", "key", "count", "after_publish_ns", "before_publish_ns", "cause")

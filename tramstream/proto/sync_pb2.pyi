@@ -87,16 +87,18 @@ class LateSample(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., key: _Optional[str] = ..., source_sequence: _Optional[int] = ..., source_publish_ns: _Optional[int] = ..., horizon_ns: _Optional[int] = ...) -> None: ...
 
 class Position(_message.Message):
-    __slots__ = ("key", "first_publish_ns", "last_publish_ns", "count")
+    __slots__ = ("key", "first_publish_ns", "last_publish_ns", "count", "first_stamp_ns")
     KEY_FIELD_NUMBER: _ClassVar[int]
     FIRST_PUBLISH_NS_FIELD_NUMBER: _ClassVar[int]
     LAST_PUBLISH_NS_FIELD_NUMBER: _ClassVar[int]
     COUNT_FIELD_NUMBER: _ClassVar[int]
+    FIRST_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     key: str
     first_publish_ns: int
     last_publish_ns: int
     count: int
-    def __init__(self, key: _Optional[str] = ..., first_publish_ns: _Optional[int] = ..., last_publish_ns: _Optional[int] = ..., count: _Optional[int] = ...) -> None: ...
+    first_stamp_ns: int
+    def __init__(self, key: _Optional[str] = ..., first_publish_ns: _Optional[int] = ..., last_publish_ns: _Optional[int] = ..., count: _Optional[int] = ..., first_stamp_ns: _Optional[int] = ...) -> None: ...
 
 class Tick(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "session", "positions")

@@ -140,7 +140,10 @@ def _main(name: str, config: str, runtime_dir: str) -> None:
     signal.signal(signal.SIGTERM, lambda number, frame: stop.set())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     orphan = Orphan(
-        Path(runtime_dir), stop, lambda text: _say(name, text), starts_successor=name == router.NAME
+        Path(runtime_dir),
+        stop,
+        lambda event: _say(name, str(event)),
+        starts_successor=name == router.NAME,
     )
     threading.Thread(target=_outlive, args=(orphan,), name="parent", daemon=True).start()
     try:

@@ -140,8 +140,8 @@ def try_lock(runtime_dir: Path) -> int | None:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise BusError(
-            f"{path}: cannot be written ({error.strerror}); set $.bus.runtime_dir or "
-            "TRAMSTREAM_RUNTIME_DIR to a folder that you may write"
+            f"{path}: cannot be written ({error.strerror})",
+            cure="set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder that you may write",
         ) from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -166,8 +166,9 @@ def lock(runtime_dir: Path) -> int:
         if (other.alive and other.pid != os.getpid()) or time.monotonic() > end_s:
             who = f" (process {other.pid}; `kill {other.pid}` ends it)" if other.alive else ""
             raise BusError(
-                f"{runtime_dir}: a vehicle is running in this folder already{who}; stop the other "
-                "`tramstream run` or `demo`, or give this one another $.bus.runtime_dir"
+                f"{runtime_dir}: a vehicle is running in this folder already{who}",
+                cure="stop the other "
+                "`tramstream run` or `demo`, or give this one another $.bus.runtime_dir",
             )
         threading.Event().wait(LOCK_POLL_S)
     return held

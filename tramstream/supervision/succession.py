@@ -21,7 +21,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from tramstream.events.kinds import Event
 from tramstream.supervision import roster
+from tramstream.supervision.events import NO_SUCCESSOR, NO_SUPERVISOR, TAKEN_OVER
 from tramstream.supervision.roster import Proc, Roster
 
 ORPHAN_S = 10.0
@@ -40,8 +42,8 @@ class Orphan:
     runtime_dir : Path
     stop : threading.Event
         Set when the node shall end.
-    say : callable
-        Takes one sentence for people.
+    tell : callable
+        Takes what happens.
     starts_successor : bool
         The router's part.
     now_s : callable
@@ -52,13 +54,13 @@ class Orphan:
         self,
         runtime_dir: Path,
         stop: threading.Event,
-        say: Callable[[str], None],
+        tell: Callable[[Event], None],
         starts_successor: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._runtime_dir = runtime_dir
         self._stop = stop
-        self._say = say
+        self._tell = tell
         self._starts_successor = starts_successor
         self._now_s = now_s
         self._successor: subprocess.Popen[bytes] | None = None
@@ -79,7 +81,7 @@ class Orphan:
             if known is not None and self._starts_successor:
                 self._start_successor()
             if alone_s >= ORPHAN_S:
-                self._say(f"no supervisor for {ORPHAN_S:.0f} s; ending")
+                self._tell(NO_SUPERVISOR(limit_s=ORPHAN_S))
                 break
             before_s = self._now_s()
             self._stop.wait(LOOK_S)
@@ -116,7 +118,7 @@ class Orphan:
             if known is not None and not known.supervisor.alive:
                 self._start(known, now_s)
         except OSError as error:
-            self._say(f"no successor can be started: {error}")
+            self._tell(NO_SUCCESSOR(reason=error))
         finally:
             os.close(lock)
 
@@ -128,7 +130,4 @@ class Orphan:
         # Written here: until it has imported what it needs, the nodes must not end.
         process = Proc.of(successor.pid) or roster.NOBODY
         roster.write(self._runtime_dir, roster.with_successor(known, process))
-        self._say(
-            f"the supervisor (process {known.supervisor.pid}) has vanished; process "
-            f"{successor.pid} takes over"
-        )
+        self._tell(TAKEN_OVER(before=known.supervisor.pid, successor=successor.pid))

@@ -20,8 +20,9 @@ import msgspec
 from tramstream import config_file, keys
 from tramstream.config import Vehicle
 from tramstream.errors import BusError, NodeError
+from tramstream.events.kinds import Event
 from tramstream.live import registry, router
-from tramstream.supervision import roster
+from tramstream.supervision import events, roster
 from tramstream.supervision.child import Child
 from tramstream.supervision.hearing import PATIENCE_S, READY_S, carries, hears
 from tramstream.supervision.heartbeats import FROZEN_S, Heartbeats, Silence
@@ -57,8 +58,8 @@ class Supervisor:
     Parameters
     ----------
     plan : Plan
-    say : callable
-        Takes one sentence for people.
+    tell : callable
+        Takes what happens.
     start : callable or None
         Starts the node of a name; by default as a fork of one server.
     now_s : callable
@@ -68,17 +69,17 @@ class Supervisor:
     def __init__(
         self,
         plan: Plan,
-        say: Callable[[str], None],
+        tell: Callable[[Event], None],
         start: Callable[[str], Running] | None = None,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.plan = plan
         self.took_over = False
         """Whether there were nodes of a supervisor before this one."""
-        self.unheard = ""
-        """One sentence if the recorder did not end in order: its last messages may be missing."""
+        self.unheard: Event | None = None
+        """Whether the recorder did not end in order: its last messages may be missing."""
         self._runtime_dir = plan.vehicle.runtime_dir
-        self._say = say
+        self._tell = tell
         self._start = start or Forks(plan.config_path, self._runtime_dir).start
         self._now_s = now_s
         self._heartbeats = Heartbeats(router.NAME)
@@ -133,7 +134,7 @@ class Supervisor:
 
     def _end_strangers(self, living: dict[str, Proc]) -> None:
         """Nodes of other settings, or of a supervisor that was ending them, are not taken over."""
-        self._say(f"ending what a run before has left: {', '.join(living)}")
+        self._tell(events.ENDING_OTHERS(nodes=", ".join(living)))
         for name, process in reversed(living.items()):
             self._end(name, Running(process.pid))
 
@@ -164,7 +165,7 @@ class Supervisor:
                     raise self._ended_at_start(child, child.running)
                 self._replace(child)
             elif self.took_over and now_s - since_s > FROZEN_S:
-                self._say(f"node {child.name} does not answer; killing it")
+                self._tell(events.NO_ANSWER(node=child.name))
                 child.running.send(signal.SIGKILL)
                 since_s = now_s
 
@@ -206,7 +207,7 @@ class Supervisor:
             if child.name != name or running is None or running.pid != pid:
                 continue
             if self._heartbeats.beat(name):
-                self._say(f"node {name} is heard again")
+                self._tell(events.HEARD_AGAIN(node=name))
 
     @property
     def lost(self) -> int:
@@ -239,18 +240,19 @@ class Supervisor:
             return
         status = running.status()
         self._bury(child, running)
-        how = "" if status is None else f" with status {status}"
-        pause_s = child.died(now_s)
-        self._say(f"node {child.name} ended{how}; starting it again in {pause_s:g} s")
+        name, pause_s = child.name, child.died(now_s)
+        if status is None:
+            self._tell(events.NODE_GONE(node=name, again_s=pause_s))
+        else:
+            self._tell(events.NODE_ENDED(node=name, status=status, again_s=pause_s))
         if now_s >= child.again_s:
             self._spawn(child)
 
     def _break_silence(self, silence: Silence) -> None:
-        text = f"node {silence.name} has given no heartbeat for {silence.limit_s:.0f} s"
+        kind = events.NODE_FROZEN if silence.frozen else events.NODE_SILENT
+        self._tell(kind(node=silence.name, limit_s=silence.limit_s))
         if not silence.frozen:
-            self._say(text)
             return
-        self._say(f"{text}; killing it, for another to take its place")
         for child in self.children:
             if child.name == silence.name and child.running is not None:
                 child.running.send(signal.SIGKILL)  # a stopped process takes no other
@@ -299,14 +301,14 @@ class Supervisor:
                     return
                 if recorder.running is not None and recorder.lives:
                     if not carries(bus, vehicle, wait):
-                        self._say("the bus does not carry; whether the recorder hears is not known")
+                        self._tell(events.BUS_DEAD())
                         break
-                    self._say(f"node {recorder.name} does not answer; killing it")
+                    self._tell(events.NO_ANSWER(node=recorder.name))
                     recorder.running.send(signal.SIGKILL)
                     recorder.running.ended(STOP_TIMEOUT_S)
         except NodeError as error:
-            self._say(str(error))
-        self.unheard = f"node {recorder.name} did not hear the others end"
+            self._tell(events.NOT_STARTED(reason=error.reason, advice=error.cure))
+        self.unheard = events.RECORDER_DEAF(node=recorder.name)
 
     def _replace(self, child: Child) -> None:
         if child.running is not None:
@@ -320,8 +322,8 @@ class Supervisor:
             return
         gone = "was gone" if running.ended() else ""
         if how := self._end(recorder.name, running) or gone:
-            self.unheard = f"node {recorder.name} {how} at the end"
-            self._say(f"{self.unheard}; what was published last may be missing in its record")
+            self.unheard = events.RECORDER_BROKEN_OFF(node=recorder.name, how=how)
+            self._tell(self.unheard)
 
     def stop_router(self) -> None:
         """End the router, and give the supervisor's place away."""
@@ -341,7 +343,7 @@ class Supervisor:
         running.send(signal.SIGTERM)
         recorder = self.children[1].name
         if not running.ended(STOP_RECORDER_S if name == recorder else STOP_TIMEOUT_S):
-            self._say(f"node {name} does not end; killing it")
+            self._tell(events.DOES_NOT_END(node=name))
             running.send(signal.SIGKILL)
             running.ended(STOP_TIMEOUT_S)
         status = running.status()
@@ -372,7 +374,7 @@ class Supervisor:
                 return
             self._look_after(self.children[0], self._now_s())
             each()
-        self._say(f"node {child.name} is not on the bus after {START_TIMEOUT_S:.0f} s; going on")
+        self._tell(events.NOT_ON_BUS(node=child.name, limit_s=START_TIMEOUT_S))
 
     def _ended_at_start(self, child: Child, running: Running) -> NodeError:
         status = running.status() or 0
@@ -392,7 +394,4 @@ class Supervisor:
         try:
             roster.write(self._runtime_dir, self._roster)
         except OSError as error:
-            self._say(
-                f"{self._runtime_dir}: {error.strerror}; should this process be killed, "
-                "the nodes end with it"
-            )
+            self._tell(events.ROSTER_REFUSED(folder=self._runtime_dir, reason=error.strerror))

@@ -7,13 +7,19 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
+from tramstream import keys
 from tramstream.clock import VehicleClock
 from tramstream.config import Vehicle
+from tramstream.events.kinds import Event
+from tramstream.events.messages import log_of, message_of
+from tramstream.keys import Key
 from tramstream.machine import compilation
+from tramstream.processor import stamp
 from tramstream.supervision.child import Child
 from tramstream.supervision.supervisor import Plan, Supervisor
-from tramstream.supervision.voice import Voice
+from tramstream.supervision.voice import SUPERVISOR, Voice
 from tramstream.transport.bus import Bus, ZenohBus
 
 WATCH_S = 0.1
@@ -52,8 +58,8 @@ class Fleet:
         return self._supervisor.lost
 
     @property
-    def unheard(self) -> str:
-        """One sentence if messages may be missing that nobody could count."""
+    def unheard(self) -> Event | None:
+        """Why messages may be missing that nobody could count."""
         return self._supervisor.unheard
 
     def until(
@@ -80,6 +86,32 @@ class Fleet:
             self._say("".join(traceback.format_exception(error)).rstrip())
 
 
+class Teller:
+    """Tells what the supervisor does: people at once, and the bus while there is one."""
+
+    def __init__(self, vehicle: str, say: Callable[[str], None]) -> None:
+        self.bus: Bus | None = None
+        self._say = say
+        self._event, self._log = keys.EVENT.at(SUPERVISOR), keys.LOG.at(SUPERVISOR)
+        self._vehicle = vehicle
+        self._sequence = 0
+
+    def tell(self, event: Event) -> None:
+        self._say(str(event))
+        if self.bus is None:
+            return
+        self._sequence += 1
+        message, stamp_ns = message_of(event, SUPERVISOR), self.bus.clock.now_ns()
+        self._publish(self._event, message, stamp_ns)
+        self._publish(self._log, log_of(message), stamp_ns)
+
+    def _publish(self, key: Key, message: Any, stamp_ns: int) -> None:
+        assert self.bus is not None  # asked by `tell`
+        stamp(message, stamp_ns, self._sequence)
+        data = message.SerializeToString()
+        self.bus.publish(key.on(self._vehicle), data, key.encoding, self._sequence)
+
+
 @contextmanager
 def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
     """Start router and nodes, or take over those that live; end them in order at the end.
@@ -98,7 +130,8 @@ def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
 
     runtime_dir = plan.vehicle.runtime_dir
     clock = VehicleClock.shared(runtime_dir, plan.rate)
-    supervisor = Supervisor(plan, safe_say)
+    teller = Teller(plan.vehicle.vehicle, safe_say)
+    supervisor = Supervisor(plan, teller.tell)
     supervisor.claim()
     bus: Bus | None = None
     voice: Voice | None = None
@@ -106,12 +139,14 @@ def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
         if not supervisor.took_over:
             compilation.ensure(safe_say)
         bus = supervisor.join(lambda: ZenohBus.connect(runtime_dir, clock))
+        teller.bus = bus
         voice = Voice(bus, plan.vehicle.vehicle, safe_say, supervisor)
         supervisor.start(bus, voice.speak)
         yield Fleet(bus, supervisor, voice, safe_say)
     finally:
         try:
             supervisor.stop_nodes(bus, voice.speak if voice is not None else lambda: None)
+            teller.bus = None
             if bus is not None:
                 bus.close()
         finally:

@@ -10,8 +10,10 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tramstream import keys
 from tramstream.boundary import Undecodable, decode
+from tramstream.events.messages import identity_of
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.supervision.events import LEFT_OUT, NOT_BELIEVED
 from tramstream.transport.bus import Bus, Envelope
 from tramstream.transport.ring import Ring
 
@@ -21,6 +23,8 @@ STATES_KEPT = 256
 AGAIN_S = 10.0
 """What cannot be decoded is said so often."""
 RECORDER = "recorder"
+SUPERVISOR = "supervisor"
+"""Source of the supervisor's own events."""
 KNOW_S = 0.2
 """How often is asked who the recorder is: one that is started at the end lives for seconds."""
 SESSIONS_KEPT = 256
@@ -75,7 +79,7 @@ class Voice:
         self._listener = listener
         self._now_s = now_s
         self._told_s = -AGAIN_S
-        self._texts: dict[str, str] = {}
+        self._troubles: dict[str, tuple[tuple[str, ...], ...]] = {}
         self._rings: dict[str, tuple[Key, Ring[Envelope]]] = {}
         for key in (keys.HEARTBEAT, keys.LOSS, keys.LOG):
             ring: Ring[Envelope] = Ring(RING_CAPACITY)
@@ -99,7 +103,8 @@ class Voice:
         if isinstance(message, Undecodable):
             self._leave_out(message)
         elif isinstance(message, Log):
-            self._say(f"{message.name}: {message.message}")
+            if node != SUPERVISOR and message.level != Log.Level.DEBUG:  # it speaks for itself
+                self._say(f"{message.name}: {message.message}")
         elif isinstance(message, NodeHealth):
             self._listener.heard(node, message.pid)
             self._tell_state(node, message)
@@ -124,20 +129,18 @@ class Voice:
             return
         self.strange += 1
         if self.strange == 1:
-            self._say(
-                f"session {session:08x} tells of losses in the recorder's name and is not the "
-                "recorder; it is not believed, nor are others"
-            )
+            self._say(str(NOT_BELIEVED(session=f"{session:08x}")))
 
     def _tell_state(self, node: str, message: NodeHealth) -> None:
-        before = self._texts.get(node, "")
-        # A sentence that counts seconds is the same sentence.
-        kind = "".join(char for char in message.text if not char.isdigit())
-        if kind == before:
+        """Say what is wrong with a node when that has changed: other kinds, or of other things."""
+        kinds = tuple(identity_of(trouble) for trouble in message.troubles)
+        if not kinds and message.text:
+            kinds = ((message.text,),)  # of a program that knows no events
+        if kinds == self._troubles.get(node, ()):
             return
-        if len(self._texts) >= STATES_KEPT:
-            self._texts.clear()
-        self._texts[node] = kind
+        if len(self._troubles) >= STATES_KEPT:
+            self._troubles.clear()
+        self._troubles[node] = kinds
         self._say(f"{node}: {message.text or 'all is well again'}")
 
     def _leave_out(self, message: Undecodable) -> None:
@@ -145,7 +148,9 @@ class Voice:
         now_s = self._now_s()
         if now_s - self._told_s >= AGAIN_S:
             self._told_s = now_s
-            self._say(f"{message}; left out, as are {self.left_out} so far")
+            key, size_bytes, reason = message
+            left_out = {"reason": reason, "left_out": self.left_out}
+            self._say(str(LEFT_OUT(key=key, size_bytes=size_bytes, **left_out)))
 
 
 def _putter(ring: Ring[Envelope]) -> Callable[[Envelope], None]:

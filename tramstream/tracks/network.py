@@ -275,15 +275,17 @@ def load(path: Path) -> Network:
             names = msgspec.json.decode(archive.read(entries.pop("names.json")), type=_Names)
             if names.format != FORMAT:
                 raise ConfigError(
-                    f"{path}: was built by another version; build it anew with `tramstream map "
-                    "build`"
+                    f"{path}: was built by another version",
+                    cure="build it anew with `tramstream map build`",
                 )
             arrays = {
                 name.removesuffix(".npy"): read_npy(archive.read(entry))
                 for name, entry in entries.items()
             }
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror})", cure="check the name"
+        ) from error
     except _DAMAGES as error:
         raise _no_network(path) from error
     unpacked: dict[str, Any] = {name: _unpacked(name, array) for name, array in arrays.items()}
@@ -359,7 +361,8 @@ def _doubt_of(names: _Names, tracks: int) -> str:
 
 def _no_network(path: Path) -> ConfigError:
     return ConfigError(
-        f"{path}: is no track network, or a damaged one; `tramstream map build` makes it anew"
+        f"{path}: is no track network, or a damaged one",
+        cure="`tramstream map build` makes it anew",
     )
 
 

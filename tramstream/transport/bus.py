@@ -31,6 +31,8 @@ from tramstream.transport.settings import LEAVE_S, client_settings, router_setti
 from tramstream.transport.subscription import Subscription
 
 CLOSE_TIMEOUT_S = 3.0  # zenoh's close may take ten seconds while a peer is frozen
+_START_ONE = """start `tramstream run`, `demo` or `replay` first, or set TRAMSTREAM_RUNTIME_DIR to \
+the folder that it uses"""
 ROUTER_POLL_S = 0.1
 __all__ = ["HEADER", "Bus", "Deliver", "Envelope", "LocalBus", "ZenohBus", "router_listens"]
 
@@ -256,10 +258,7 @@ class ZenohBus(Bus):
                     if stop is None:
                         raise
             if stop is None or stop.wait(ROUTER_POLL_S):
-                raise BusError(
-                    f"no bus at {path}; start `tramstream run`, `demo` or `replay` first, or set "
-                    "TRAMSTREAM_RUNTIME_DIR to the folder that it uses"
-                )
+                raise BusError(f"no bus at {path}", cure=_START_ONE)
 
     @classmethod
     def route(cls, runtime_dir: Path, clock: VehicleClock, patient: bool = False) -> ZenohBus:

@@ -21,8 +21,8 @@ def socket_path(runtime_dir: Path) -> Path:
     path = runtime_dir / "bus.sock"
     if len(os.fsencode(path)) > SOCKET_PATH_MAX:
         raise BusError(
-            f"{path}: longer than a Unix socket's path may be ({SOCKET_PATH_MAX} bytes); set "
-            "$.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a shorter one"
+            f"{path}: longer than a Unix socket's path may be ({SOCKET_PATH_MAX} bytes)",
+            cure="set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a shorter one",
         )
     return path
 
@@ -38,16 +38,17 @@ def lock_router(runtime_dir: Path) -> int:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise BusError(
-            f"{path}: cannot be written ({error.strerror}); set $.bus.runtime_dir or "
-            "TRAMSTREAM_RUNTIME_DIR to a folder that you may write"
+            f"{path}: cannot be written ({error.strerror})",
+            cure="set $.bus.runtime_dir or TRAMSTREAM_RUNTIME_DIR to a folder that you may write",
         ) from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(lock)
         raise BusError(
-            f"{socket_path(runtime_dir)}: a router is listening already; stop the other "
-            "`tramstream run`, `demo` or `replay`, or give this one another $.bus.runtime_dir"
+            f"{socket_path(runtime_dir)}: a router is listening already",
+            cure="stop the other "
+            "`tramstream run`, `demo` or `replay`, or give this one another $.bus.runtime_dir",
         ) from error
     return lock
 

@@ -18,6 +18,7 @@ from tramstream.estimation.localiser import Estimate
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.live import snapshots
 from tramstream.processors.kaspar2023 import model
+from tramstream.processors.kaspar2023.events import HEADING_LOST, WHEELS_JUMPED
 from tramstream.processors.kaspar2023.filter import Kaspar2023Filter
 from tramstream.processors.kaspar2023.localiser import Kaspar2023Localiser
 from tramstream.processors.kaspar2023.model import COLUMNS, ROWS, SIZE, STEP_S, Ix
@@ -420,8 +421,9 @@ def test_gap_in_inertial_data_loses_the_heading_and_keeps_what_was_learned() -> 
     estimate = localiser.take(frames[8300])
     assert estimate is not None
     assert estimate.mode == MotionState.HEADING_UNKNOWN
-    (sentence,) = localiser.complaints()
-    assert "3.0 s" in sentence
+    (event,) = localiser.complaints()
+    assert event.kind is HEADING_LOST
+    assert event.facts["silence_s"] == pytest.approx(3.0, abs=0.1)
     assert localiser.complaints() == []
     assert [each.name for each in localiser.learned()] == [each.name for each in bias]
     last = run(localiser, iter(frames[8301:]))[-1]
@@ -436,8 +438,9 @@ def test_wheels_that_jump_are_told_and_not_used() -> None:
         for wheel in (wheel for odometry in frame.odometry for wheel in odometry.wheels):
             wheel.pulses -= 20_000
     last = run(localiser, iter(frames))[-1]
-    (sentence,) = localiser.complaints()
-    assert "jumped" in sentence
+    (event,) = localiser.complaints()
+    assert event.kind is WHEELS_JUMPED
+    assert event.facts["pulses"] == pytest.approx(-20_000, abs=500)
     assert abs(error_of(drive, localiser, last)[4]) < 30 * MM
 
 

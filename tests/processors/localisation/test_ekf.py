@@ -13,20 +13,38 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rides import Ride, altered, time_s
-from test_tram_outages import BACKWARDS, NO_WHEELS, assert_covariance
+from test_tram_outages import assert_covariance
 from test_tram_start import copies, plain
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.estimation.events import (
+    FIX_NO_NUMBER,
+    FIX_NOWHERE,
+    FIX_TOO_FAR,
+    FIX_TOO_HIGH,
+    FIX_TOO_POOR,
+)
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, TRACKING
+from tramstream.events import Kind
 from tramstream.live import snapshots
 from tramstream.processor import Sample
-from tramstream.processors.localisation.processor import LOG, MARGIN, LocalisationFilter
+from tramstream.processors.localisation.events import NO_NUMBER
+from tramstream.processors.localisation.processor import MARGIN, LocalisationFilter
+from tramstream.processors.tram.events import (
+    ACCURACY_UNSTATED,
+    IMPOSSIBLE_READING,
+    IMPOSSIBLE_VELOCITY,
+    NO_WHEELS,
+    TIME_BACKWARDS,
+)
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
+EVENT, LOG = keys.EVENT.at("ekf"), keys.LOG.at("ekf")
+KINDS = {kind.name: kind for kind in LocalisationFilter.events}
 MOVING_S = 30.0
 PLACE_M = 2.5
 """Of fixes at 1 Hz with 0.5 m an axis: 5 σ."""
@@ -42,7 +60,7 @@ class Node:
         self.processor = LocalisationFilter(altered(ride.simulation.vehicle, **changes))
         self.states: list[Any] = []
         self.now: list[Any] = []
-        self.said: list[tuple[float, str]] = []
+        self.told: list[tuple[float, Kind]] = []
         self.samples: list[Sample] = []
 
     def step(self, frames: Iterable[SyncFrame]) -> Node:
@@ -57,17 +75,17 @@ class Node:
 
     def _note(self, sample: Sample, time_s: float) -> None:
         self.samples.append(sample)
-        if sample.key is LOG:
-            self.said.append((time_s, sample.message.message))
-        elif sample.key is not keys.EST_PARAMETERS:
+        if sample.key == EVENT:
+            self.told.append((time_s, KINDS[sample.message.kind]))
+        elif sample.key not in (keys.EST_PARAMETERS, LOG):
             if sample.key is keys.EST_STATE:
                 self.states.append(sample.message)
             elif sample.key is keys.EST_NOW:
                 self.now.append(sample.message)
             assert_numbers(sample.message)
 
-    def sentences(self) -> set[str]:
-        return {sentence for _, sentence in self.said}
+    def events(self) -> set[Kind]:
+        return {kind for _, kind in self.told}
 
 
 def assert_numbers(message: Any) -> None:
@@ -115,25 +133,20 @@ def memory(number: int, count: int = 200) -> tuple[bytes, list[SyncFrame]]:
 
 
 # Bad input ----------------------------------------------------------------------------------------
-NO_NUMBER = "a fix with a position that is no number was left out"
-NO_ACCURACY = "a fix without a usable accuracy was taken for a poor one"
-NO_VELOCITY = "a fix's velocity that cannot be was left out"
-USELESS = "a fix that is good to a kilometre at best was left out"
-FAR = "a fix hundreds of kilometres away from where the ride began was left out"
-BAD: dict[str, tuple[dict[str, float], str]] = {
-    "latitude NaN": ({"latitude_deg": math.nan}, NO_NUMBER),
-    "longitude infinite": ({"longitude_deg": math.inf}, NO_NUMBER),
-    "height NaN": ({"height_ellipsoid_m": math.nan}, NO_NUMBER),
-    "nowhere": ({"latitude_deg": 123.0}, "a fix that is nowhere on the Earth was left out"),
-    "in orbit": ({"height_ellipsoid_m": 4e5}, "a fix that is not near the ground was left out"),
-    "velocity NaN": ({"vel_e_mps": math.nan, "vel_n_mps": 0.0}, NO_VELOCITY),
-    "velocity half": ({"vel_e_mps": 1.0}, NO_VELOCITY),
-    "velocity of a rocket": ({"vel_e_mps": 1e200, "vel_n_mps": 1e200}, NO_VELOCITY),
-    "accuracy NaN": ({"horizontal_std_m": math.nan}, NO_ACCURACY),
-    "accuracy 0": ({"horizontal_std_m": 0.0}, NO_ACCURACY),
-    "accuracy negative": ({"horizontal_std_m": -1.0}, NO_ACCURACY),
-    "accuracy 1e9": ({"horizontal_std_m": 1e9}, USELESS),
-    "other hemisphere": ({"latitude_deg": -33.9, "longitude_deg": 151.2}, FAR),
+BAD: dict[str, tuple[dict[str, float], Kind]] = {
+    "latitude NaN": ({"latitude_deg": math.nan}, FIX_NO_NUMBER),
+    "longitude infinite": ({"longitude_deg": math.inf}, FIX_NO_NUMBER),
+    "height NaN": ({"height_ellipsoid_m": math.nan}, FIX_NO_NUMBER),
+    "nowhere": ({"latitude_deg": 123.0}, FIX_NOWHERE),
+    "in orbit": ({"height_ellipsoid_m": 4e5}, FIX_TOO_HIGH),
+    "velocity NaN": ({"vel_e_mps": math.nan, "vel_n_mps": 0.0}, IMPOSSIBLE_VELOCITY),
+    "velocity half": ({"vel_e_mps": 1.0}, IMPOSSIBLE_VELOCITY),
+    "velocity of a rocket": ({"vel_e_mps": 1e200, "vel_n_mps": 1e200}, IMPOSSIBLE_VELOCITY),
+    "accuracy NaN": ({"horizontal_std_m": math.nan}, ACCURACY_UNSTATED),
+    "accuracy 0": ({"horizontal_std_m": 0.0}, ACCURACY_UNSTATED),
+    "accuracy negative": ({"horizontal_std_m": -1.0}, ACCURACY_UNSTATED),
+    "accuracy 1e9": ({"horizontal_std_m": 1e9}, FIX_TOO_POOR),
+    "other hemisphere": ({"latitude_deg": -33.9, "longitude_deg": 151.2}, FIX_TOO_FAR),
 }
 
 
@@ -144,7 +157,7 @@ def set_fields(fix: GnssFix, values: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_fixes_are_said_and_do_no_harm(name: str) -> None:
-    values, sentence = BAD[name]
+    values, kind = BAD[name]
     ride, (state, frames) = plain(1), memory(RUNNING, 2000)
     frames = copies(frames)
     begin_s = time_s(frames[0].stamp_ns)
@@ -157,7 +170,7 @@ def test_bad_fixes_are_said_and_do_no_harm(name: str) -> None:
     node = Node(ride)
     node.processor.restore(snapshots.unpack(state))
     node.step(frames)
-    times = [time for time, said in node.said if said == sentence]
+    times = [time for time, told in node.told if told is kind]
     assert 1 <= len(times) <= 2  # repeated every ten seconds, not with every fix
     assert times[0] < begin_s + 2.5
     for said in node.states[::100]:
@@ -174,7 +187,7 @@ def test_bad_first_fix_does_no_harm(name: str) -> None:
     first = next(fix for frame in frames for fix in frame.gnss)
     set_fields(first, values)
     node = Node(ride).step(frames)
-    assert node.sentences()
+    assert node.events()
     assert node.states[-1].mode == TRACKING
     assert off_m(ride, node.states[-1]) < PLACE_M
     assert time_s(node.states[0].stamp_ns) < 5.0
@@ -191,7 +204,7 @@ def test_one_bad_number_of_other_fields_does_no_harm() -> None:
         for mean in frame.ahead:
             mean.accel_x_mps2 = value
     node = Node(ride).step(frames)
-    assert "an inertial reading that cannot be was left out" in node.sentences()
+    assert IMPOSSIBLE_READING in node.events()
     assert off_m(ride, node.states[-1]) < PLACE_M
     assert off_m(ride, node.now[-1]) < PLACE_M
     assert node.now[-1].stamp_ns > frames[-1].stamp_ns
@@ -203,7 +216,7 @@ def test_odometry_that_never_comes_is_said() -> None:
     for frame in frames:
         frame.ClearField("odometry")
     node = Node(ride).step(frames)
-    times = [time for time, said in node.said if said == NO_WHEELS]
+    times = [time for time, told in node.told if told is NO_WHEELS]
     assert times[0] < 7.0
     assert np.diff(times).min() > 9.0
     assert node.states[-1].mode == TRACKING
@@ -214,7 +227,7 @@ def test_time_that_runs_backwards_is_said_and_published_nowhere() -> None:
     ride = plain(1)
     frames = ride.between(-1.0, 37.0)
     node = Node(ride).step([*frames[:RUNNING], frames[RUNNING - 200], *frames[RUNNING:]])
-    assert node.sentences() == {BACKWARDS}
+    assert node.events() == {TIME_BACKWARDS}
     for stream in (node.states, node.now):
         stamps = [each.stamp_ns for each in stream]
         assert stamps == sorted(set(stamps))
@@ -300,7 +313,7 @@ def test_no_garbage_makes_it_raise_or_publish_what_is_no_number(
     for number, offset_ns, (kind, values) in thrown:
         throw(changed[number], kind, values, offset_ns)
     node.step(changed)  # which looks at every message
-    assert "the filter's state was no number; it starts again" not in node.sentences()
+    assert NO_NUMBER not in node.events()
     if begin == RUNNING:
         assert len(node.states) > 100
     localiser = node.processor.localiser
@@ -328,7 +341,7 @@ def test_states_come_with_every_frame_and_say_what_they_rest_on() -> None:
     first = modes.index(TRACKING)
     assert set(modes[:first]) == {HEADING_UNKNOWN}
     assert set(modes[first:]) == {TRACKING}
-    assert not node.sentences()
+    assert not node.events()
 
 
 def test_state_for_now_goes_on_to_the_newest_mean() -> None:

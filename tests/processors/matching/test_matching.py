@@ -13,7 +13,7 @@ import estimates
 import networks
 import numpy as np
 import pytest
-from estimates import FILTER_LEVEL, Driven, Noise, Obeying, course, driven, steady
+from estimates import FILTER_LEVEL, Driven, Noise, Obeying, course, driven, steady, told
 from networks import (
     BOTH,
     LEVEL,
@@ -30,10 +30,11 @@ from networks import (
 from tramstream.clock import S
 from tramstream.config import Map
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, values_of
+from tramstream.estimation.track import OnTrack
 from tramstream.lines.line import Line
-from tramstream.memory.stage import copied
+from tramstream.memory.stage import assign, copied, from_plain, to_plain
 from tramstream.processors.matching import hypotheses as kernels
-from tramstream.processors.matching.matcher import Match, Matcher
+from tramstream.processors.matching.matcher import HypothesesMemory, Match, Matcher
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.rails import place, rails_of
 
@@ -55,6 +56,8 @@ class Said:
     matcher: Matcher
     off_l: Array
     """(n, 2): error of the estimates as they were given."""
+    on_tracks: list[OnTrack | None]
+    """What a filter was told."""
 
     @property
     def s(self) -> Array:
@@ -89,28 +92,31 @@ def matched(case: Made, drive: Driven, settings: Map = SETTINGS, obeys: bool = T
     matcher = Matcher(case.network, settings)
     frame = MapFrame(case.network, FILTER_LEVEL)
     obeying = Obeying(drive.noise)
+    on_tracks: list[OnTrack | None] = []
     matches, off_l, last_ns = [], drive.off_l.copy(), drive.estimates[0].stamp_ns
     for estimate in drive.estimates:
         obeying.wait(max(estimate.stamp_ns - last_ns, 0) / S)
         last_ns = max(estimate.stamp_ns, last_ns)
-        match = matcher.step(obeying.apply(estimate) if obeys else estimate, frame)
+        match = matcher.step(obeying.apply(estimate) if obeys else estimate, frame, held=obeys)
         assert match is not None
-        assert_sane(match, matcher)
+        on_track = told(matcher, match, frame)
+        assert_sane(match, matcher, on_track)
+        on_tracks.append(on_track)
         off_l[len(matches)] += obeying.correction[:2] * obeys
         matches.append(match)
-        if match.on_track is not None:
-            obeying.take(match.on_track)
-    return Said(drive, matches, matcher, off_l)
+        if on_track is not None:
+            obeying.take(on_track)
+    return Said(drive, matches, matcher, off_l, on_tracks)
 
 
-def assert_sane(match: Match, matcher: Matcher) -> None:
+def assert_sane(match: Match, matcher: Matcher, on_track: OnTrack | None) -> None:
     """Numbers are numbers, probabilities are some, chainages are on their runs."""
     others = match.others
     numbers = [*match[1:7], *(each.probability for each in others)]
     numbers += [each.chainage_m for each in others]
-    if match.on_track is not None:
-        known = 9 if not math.isnan(match.on_track.grade_rad) else 7
-        numbers += match.on_track[:known]
+    if on_track is not None:
+        known = 9 if not math.isnan(on_track.grade_rad) else 7
+        numbers += on_track[:known]
     assert np.isfinite(numbers).all(), match
     total = match.off_probability + match.probability + sum(each.probability for each in others)
     assert -1e-9 <= total <= 1.0 + 1e-6, match
@@ -137,7 +143,7 @@ def test_taken_branch_is_found_soon_and_the_other_never_believed(taken: str, see
     # After 15 m the branches are 2.2 m and 17° apart.
     assert (said.run[behind] == right).all()
     assert (said.probability[said.s > 300.0 + 20.0] > SURE).all()
-    put = np.array([each.on_track is not None for each in said.matches])
+    put = np.array([each is not None for each in said.on_tracks])
     assert put[said.s > 330.0].any()
 
 
@@ -148,11 +154,11 @@ def test_filter_is_not_put_onto_rails_before_it_is_known_which(seed: int) -> Non
     for taken in ("straight", "branch"):
         drive = driven(case.path("stem", taken), steady(400.0, 8.0), seed=seed)
         said = matched(case, drive)
-        for k, match in enumerate(said.matches):
-            if match.on_track is None:
+        for k, on_track in enumerate(said.on_tracks):
+            if on_track is None:
                 continue
-            truly = float(np.array(match.on_track[:2]) @ said.off_l[k])
-            assert match.on_track.across_m == pytest.approx(truly, abs=0.1)
+            truly = float(np.array(on_track[:2]) @ said.off_l[k])
+            assert on_track.across_m == pytest.approx(truly, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", FEW)
@@ -223,7 +229,7 @@ def test_without_a_heading_both_parallel_tracks_are_said() -> None:
         assert not match.headed
         tracks = {match.run >> 1} | {each.run >> 1 for each in match.others}
         assert tracks == {0, 1}
-        assert match.on_track is None
+    assert not any(said.on_tracks[:begun])
     assert said.matches[begun].headed
     assert (said.run[begun:] == case.run("right")).all()
     assert (said.probability[begun:] > SURE).all()
@@ -518,9 +524,9 @@ def test_leaving_the_map_is_said_and_the_return_found(seed: int) -> None:
     assert (said.run[said.s > end + FOUND_WITHIN_M] == case.run("track")).all()
     assert (said.probability[said.s > end + FOUND_WITHIN_M] > 0.9).all()
     # Never put onto rails that it has left by a metre.
-    for match, s in zip(said.matches, said.s.tolist(), strict=True):
+    for on_track, s in zip(said.on_tracks, said.s.tolist(), strict=True):
         if begin + 10.0 < s < end - 10.0:
-            assert match.on_track is None
+            assert on_track is None
 
 
 def test_vehicle_that_begins_off_the_map_is_found_when_it_comes_to_it() -> None:
@@ -615,10 +621,10 @@ def test_gap_in_the_estimates_is_bridged(case: Made, gap_s: float) -> None:
     said = matched(case, chosen(drive, kept))
     after = said.drive.course.time_s >= 10.0 + gap_s
     for k in np.flatnonzero(after).tolist():
-        match = said.matches[k]
-        if match.on_track is not None:
-            truly = float(np.array(match.on_track[:2]) @ said.off_l[k])
-            assert match.on_track.across_m == pytest.approx(truly, abs=0.3)
+        on_track = said.on_tracks[k]
+        if on_track is not None:
+            truly = float(np.array(on_track[:2]) @ said.off_l[k])
+            assert on_track.across_m == pytest.approx(truly, abs=0.3)
     assert (said.run == case.run("track")).all()
     assert np.abs(said.chainage_m - said.s)[after].max() < 5.0 * STD_M
 
@@ -697,11 +703,11 @@ def test_restored_matcher_says_the_same_to_the_last_bit(at: int) -> None:
     matcher, frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL)
     for estimate in drive.estimates[:at]:
         matcher.step(estimate, frame)
-    kept, laid = matcher.snapshot(), copied(frame.memory)
+    kept, laid = to_plain(matcher.remembered), copied(frame.memory)
     rest: Sequence = drive.estimates[at : at + 800]
     expected = [repr(matcher.step(each, frame)) for each in rest]
     other, other_frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL, laid)
-    other.restore(kept)
+    assign(other.remembered, from_plain(HypothesesMemory, kept))
     assert [repr(other.step(each, other_frame)) for each in rest] == expected
 
 

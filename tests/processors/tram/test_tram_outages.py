@@ -18,6 +18,15 @@ from test_tram_start import PLACE_M, YAW_RAD, copies, plain
 
 from tramstream.clock import S
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, TRACKING
+from tramstream.events import Kind
+from tramstream.processors.tram.events import (
+    HEADING_LOST,
+    NO_FIX,
+    NO_IMU,
+    NO_WHEELS,
+    SET_BACK,
+    TIME_BACKWARDS,
+)
 from tramstream.processors.tram.localiser import BACK_S, BLIND_S, TramLocaliser
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
@@ -30,12 +39,6 @@ STRAIGHT_S = 41.0
 """Instants of `plain`: within the first curve, on the straight after it."""
 ROUNDING = 1e-9
 """Of a correlation: some ten thousand updates in double precision."""
-NO_IMU = "no inertial reading for more than 1 s"
-NO_WHEELS = "no wheel reading for more than 5 s, though wheels are configured"
-NO_FIX = "no usable fix for more than 60 s"
-LOST = "no sensor has told of the motion for more than 5 s; the heading is sought anew"
-BACKWARDS = "time ran backwards; the frame was left out"
-SET_BACK = "time goes on from an earlier instant; the filter begins anew"
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,13 @@ class Watched:
     """What a filter estimated, and what it said when, s of the ride."""
 
     errors: Errors
-    said: list[tuple[float, str]]
+    said: list[tuple[float, Kind]]
 
-    def after(self, start_s: float) -> set[str]:
-        return {sentence for time, sentence in self.said if time > start_s}
+    def after(self, start_s: float) -> set[Kind]:
+        return {kind for time, kind in self.said if time > start_s}
 
-    def times(self, sentence: str) -> list[float]:
-        return [time for time, each in self.said if each == sentence]
+    def times(self, kind: Kind) -> list[float]:
+        return [time for time, each in self.said if each is kind]
 
 
 def assert_covariance(P: Array) -> None:
@@ -69,7 +72,7 @@ def watch(ride: Ride, frames: Iterable[SyncFrame]) -> Watched:
     kept, said = [], []
     for number, frame in enumerate(frames):
         estimate = localiser.take(frame)
-        said += [(time_s(frame.stamp_ns), each) for each in localiser.complaints()]
+        said += [(time_s(frame.stamp_ns), each.kind) for each in localiser.complaints()]
         if estimate is not None and number % EVERY == 0:
             kept.append(estimate)
         if estimate is not None and number % 50 == 0:
@@ -166,7 +169,7 @@ def test_long_silence_while_moving_lets_the_heading_be_sought_anew(
     ride, end_s = plain(seed), start_s + 2.0 * BLIND_S
     silent = without(ride, start_s, end_s, "imu", "odometry")
     watched = watch(ride, silent if frames_go_on else pausing(ride, start_s, end_s))
-    assert len(watched.times(LOST)) == 1
+    assert len(watched.times(HEADING_LOST)) == 1
     assert_back(watched.errors, end_s + 5.0)
     waking = watched.errors.within(end_s + 0.1, end_s + 1.5)
     assert (waking.mode == HEADING_UNKNOWN).all()
@@ -177,7 +180,7 @@ def test_long_silence_over_an_arrival_or_a_departure(start_s: float, end_s: floa
     ride = plain(1)
     watched = watch(ride, pausing(ride, start_s, end_s))
     errors = watched.errors
-    assert watched.times(LOST)
+    assert watched.times(HEADING_LOST)
     # Whoever woke at the stop stands until the departure, and needs some metres then.
     assert_back(errors, max(end_s, ride.departure_s(2)) + 8.0)
     claimed = np.sqrt(np.trace(errors.covariance[:, :2, :2], axis1=1, axis2=2))
@@ -199,7 +202,7 @@ def test_one_frame_whose_time_ran_backwards_is_left_out(back_s: float) -> None:
     wrong = SyncFrame.FromString(frames[4000].SerializeToString())
     wrong.stamp_ns -= round(back_s * S)
     watched = watch(ride, [*frames[:4001], wrong, *frames[4001:]])
-    assert [sentence for _, sentence in watched.said] == [BACKWARDS]
+    assert [kind for _, kind in watched.said] == [TIME_BACKWARDS]
     assert_back(watched.errors, 35.0)
 
 
@@ -227,11 +230,11 @@ def test_clock_that_was_set_back_begins_a_new_ride(to_s: float) -> None:
     kept, said = [], []
     for frame in ride.between(to_s, 60.0):
         estimate = localiser.take(frame)
-        said += localiser.complaints()
+        said += [each.kind for each in localiser.complaints()]
         if estimate is not None:
             kept.append(estimate)
     assert said.count(SET_BACK) == 1
-    assert said.count(BACKWARDS) <= round(BACK_S * 100.0) + 1
+    assert said.count(TIME_BACKWARDS) <= round(BACK_S * 100.0) + 1
     errors = judged(ride.simulation, localiser, kept)
     assert to_s + BACK_S - 0.1 < errors.time_s[0] < to_s + BACK_S + 2.0
     assert_back(errors, 30.0 + 0.2 * to_s)

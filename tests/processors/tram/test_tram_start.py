@@ -20,6 +20,7 @@ from test_tram_faults import PLAN, city
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate
 from tramstream.lines.line import Line, parse_plan
 from tramstream.live import snapshots
+from tramstream.processors.tram.events import FIRST_FIXES_WRONG
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -237,7 +238,7 @@ def test_first_fixes_that_are_50_m_wrong_are_overruled(seed: int, count: int, mo
     later = known(errors).within(begin_s + count + 12.0, math.inf)
     assert later.horizontal_m.max() < PLACE_M
     assert np.abs(known(errors).yaw_rad).max() < 0.1
-    assert any("first fixes" in sentence for sentence in localiser.complaints())
+    assert FIRST_FIXES_WRONG in [event.kind for event in localiser.complaints()]
 
 
 @pytest.mark.parametrize("turned_rad", [0.5 * math.pi, math.pi])

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import networks
 import numpy as np
@@ -19,22 +20,29 @@ from networks import network_of, straight
 from rides import LEVEL, Ride, altered, laid, reference, ridden, time_s
 
 from tramstream import keys
-from tramstream.config import Map
+from tramstream.config import Map, Vehicle
 from tramstream.estimation.kalman import Array
-from tramstream.estimation.localiser import TRACKING, OnTrack
+from tramstream.estimation.localiser import TRACKING
+from tramstream.estimation.track import OnTrack
+from tramstream.events.messages import facts_of
+from tramstream.graph import Graph
 from tramstream.lines.line import Line
 from tramstream.live import snapshots
 from tramstream.processor import Sample
-from tramstream.processors.localisation.processor import LOG, LocalisationFilter
+from tramstream.processors.localisation.events import MAP_UNMATCHED
+from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.matching.events import MAP_FAR, MAP_REFUSED
+from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import SIZE, Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackHeading
 from tramstream.proto.estimate_pb2 import MapMatch, MotionState
-from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.proto.sync_pb2 import Snapshot, SyncFrame
 from tramstream.simulation.scenario import Tunnel
 from tramstream.tracks.network import BACKWARDS, FORWARDS, Network
 
+EVENTS = keys.EVENT.at("ekf"), keys.EVENT.at("map_matcher")
 STD_M = 0.05
 """Of the map of these rides; its geometry is exact."""
 CITY = {
@@ -204,9 +212,9 @@ def test_track_beyond_the_gate_changes_nothing() -> None:
 # Rides --------------------------------------------------------------------------------------------
 @dataclass
 class Output:
-    """What a filter said of a ride."""
+    """What a filter and its map matcher said of a ride."""
 
-    processor: LocalisationFilter
+    graph: Graph
     samples: list[Sample]
 
     @property
@@ -218,23 +226,39 @@ class Output:
         return [each.message for each in self.samples if each.key is keys.MAP_MATCH]
 
     @property
-    def sentences(self) -> list[str]:
-        return [each.message.message for each in self.samples if each.key is LOG]
+    def events(self) -> list[tuple[str, dict[str, Any]]]:
+        """Kind and facts."""
+        told = [each.message for each in self.samples if each.key in EVENTS]
+        return [(event.kind, facts_of(event)) for event in told]
 
     def packed(self) -> list[bytes]:
         return [each.message.SerializeToString() for each in self.samples]
 
 
-def step(processor: LocalisationFilter, frames: Sequence[SyncFrame]) -> Output:
+def step(graph: Graph, frames: Sequence[SyncFrame]) -> Output:
     samples = []
     for number, frame in enumerate(frames):
-        samples += processor.step(Sample(keys.SYNC_FRAME, frame, frame.stamp_ns, number))
-    return Output(processor, samples)
+        samples += graph.step(Sample(keys.SYNC_FRAME, frame, frame.stamp_ns, number))
+    return Output(graph, samples)
 
 
-def with_map(ride: Ride, path: Path, std_m: float = STD_M) -> LocalisationFilter:
-    chosen = Map(network=str(path), std_m=std_m)
-    return LocalisationFilter(altered(ride.simulation.vehicle, map=chosen))
+def alone(vehicle: Vehicle) -> Graph:
+    """The filter without a map."""
+    return Graph([LocalisationFilter(vehicle)])
+
+
+def matching_with(vehicle: Vehicle, path: Path, std_m: float = STD_M) -> Graph:
+    """Filter and map matcher."""
+    mapped = altered(vehicle, map=Map(network=str(path), std_m=std_m))
+    return Graph([LocalisationFilter(mapped), MapMatcher(mapped)])
+
+
+def with_map(ride: Ride, path: Path, std_m: float = STD_M) -> Graph:
+    return matching_with(ride.simulation.vehicle, path, std_m)
+
+
+def memory(graph: Graph) -> Snapshot:
+    return Snapshot(states=snapshots.take(graph.processors))
 
 
 def off(ride: Ride, states: Sequence[MotionState]) -> tuple[Array, Array]:
@@ -275,9 +299,15 @@ def short_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def mapped(seed: int, path: Path) -> Output:
     """The whole ride with a map, and with its trace kept, which changes nothing."""
-    processor = with_map(short(seed), path)
-    processor.keep()
-    return step(processor, short(seed).frames)
+    graph = with_map(short(seed), path)
+    filter_of(graph).keep()
+    return step(graph, short(seed).frames)
+
+
+def filter_of(graph: Graph) -> LocalisationFilter:
+    first = graph.processors[0]
+    assert isinstance(first, LocalisationFilter)
+    return first
 
 
 def saved(network: Network, path: Path) -> Path:
@@ -292,7 +322,7 @@ def moving(states: Sequence[MotionState]) -> list[MotionState]:
 @cache
 def without_map(seed: int) -> Output:
     ride = short(seed)
-    return step(LocalisationFilter(ride.simulation.vehicle), ride.frames)
+    return step(alone(ride.simulation.vehicle), ride.frames)
 
 
 def test_filter_with_the_map_is_better_than_without(short_map: Path) -> None:
@@ -328,7 +358,7 @@ def test_matches_of_a_ride_are_those_of_its_states(short_map: Path) -> None:
         place = np.radians([match.latitude_deg, match.longitude_deg])
         plan = network.plan_of(network.level.to_geodetic(laid(SHORT).position_l(match.chainage_m)))
         np.testing.assert_allclose(network.plan_of(place), plan, atol=0.01)
-    assert said.sentences == without_map(1).sentences
+    assert said.events == without_map(1).events
 
 
 def test_published_place_on_the_track_does_not_jump(short_map: Path) -> None:
@@ -377,7 +407,7 @@ def test_lost_frames_are_no_worse_with_the_map(gap_s: float, short_map: Path) ->
     begin_s = time_s(ride.frames[0].stamp_ns) + 35.0
     frames = ride.between(-1.0, begin_s) + ride.between(begin_s + gap_s, begin_s + gap_s + 20.0)
     said = step(with_map(ride, short_map), frames)
-    plain = step(LocalisationFilter(ride.simulation.vehicle), frames)
+    plain = step(alone(ride.simulation.vehicle), frames)
     worst = []
     for output in (said, plain):
         later = [
@@ -403,9 +433,8 @@ def test_lost_frames_are_no_worse_with_the_map(gap_s: float, short_map: Path) ->
 def test_model_of_the_work_takes_the_map_too(short_map: Path) -> None:
     ride = short(1)
     vehicle = altered(ride.simulation.vehicle, ekf={"model": "kaspar2023"})
-    chosen = Map(network=str(short_map), std_m=STD_M)
-    said = step(LocalisationFilter(altered(vehicle, map=chosen)), ride.frames[:5000])
-    plain = step(LocalisationFilter(vehicle), ride.frames[:5000])
+    said = step(matching_with(vehicle, short_map), ride.frames[:5000])
+    plain = step(alone(vehicle), ride.frames[:5000])
     across = [
         float(np.sqrt(np.mean(off(ride, moving(output.states))[1] ** 2)))
         for output in (said, plain)
@@ -532,15 +561,24 @@ def test_map_that_cannot_be_read_is_said_once_and_changes_nothing(how: str, tmp_
     frames = ride.frames[:2500]
     path = broken(tmp_path, how)
     said = step(with_map(ride, path), frames)
-    plain = step(LocalisationFilter(ride.simulation.vehicle), frames)
+    plain = step(alone(ride.simulation.vehicle), frames)
     assert_same_states(said, plain)
     assert said.matches == []
-    about = [each for each in said.sentences if each not in plain.sentences]
-    assert len(about) == 1
-    assert about[0].startswith("$.map.network: ")
-    assert str(path) in about[0]
-    assert "without the map" in about[0]
-    assert "\n" not in about[0]
+    ((kind, facts),) = [each for each in said.events if each not in plain.events]
+    assert kind == MAP_REFUSED.name
+    assert str(path) in facts["reason"]
+    assert "\n" not in facts["reason"]
+
+
+def test_map_that_nobody_matches_with_is_said_once_and_changes_nothing() -> None:
+    ride = short(1)
+    chosen = Map(network="any.tracks")
+    vehicle = altered(ride.simulation.vehicle, map=chosen, processors=("resampler", "ekf"))
+    said = step(alone(vehicle), ride.frames[:1500])
+    plain = step(alone(ride.simulation.vehicle), ride.frames[:1500])
+    assert_same_states(said, plain)
+    about = [each for each in said.events if each not in plain.events]
+    assert about == [(MAP_UNMATCHED.name, {})]
 
 
 def test_map_of_another_place_is_said_once_and_changes_nothing(tmp_path: Path) -> None:
@@ -550,10 +588,10 @@ def test_map_of_another_place_is_said_once_and_changes_nothing(tmp_path: Path) -
     )
     said = step(with_map(ride, saved(away, tmp_path / "far.net")), ride.frames)
     assert_same_states(said, without_map(1))
-    about = [each for each in said.sentences if each not in without_map(1).sentences]
-    assert len(about) == 1
-    assert "km from the nearest track" in about[0]
-    assert "Brno" in about[0]
+    ((kind, facts),) = [each for each in said.events if each not in without_map(1).events]
+    assert kind == MAP_FAR.name
+    assert "Brno" in facts["source"]
+    assert facts["distance_m"] > facts["limit_m"]
     assert {each.state for each in said.matches} == {MapMatch.OFF_MAP}
     assert not [each for each in said.samples if each.key is keys.MAP_LOCATION]
 
@@ -590,30 +628,29 @@ def test_map_with_an_end_lets_the_filter_go_on(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [500, 2500, 5000])
 def test_restored_filter_with_a_map_goes_on_to_the_last_bit(number: int, short_map: Path) -> None:
     ride = short(1)
-    processor = with_map(ride, short_map)
-    step(processor, ride.frames[:number])
-    kept = snapshots.pack(processor.snapshot())
+    graph, other = with_map(ride, short_map), with_map(ride, short_map)
+    step(graph, ride.frames[:number])
+    kept = memory(graph)
     rest = ride.frames[number : number + 2000]
-    expected = step(processor, rest)
-    other = with_map(ride, short_map)
-    other.restore(snapshots.unpack(kept))
+    expected = step(graph, rest)
+    assert snapshots.restore(kept, other.processors)
     found = step(other, rest)
     assert found.packed() == expected.packed()
-    assert snapshots.pack(other.snapshot()) == snapshots.pack(processor.snapshot())
+    assert memory(other) == memory(graph)
 
 
 def test_memory_with_a_map_is_taken_by_a_filter_without_one_and_back(short_map: Path) -> None:
     """Somebody takes the map out of the configuration, or puts it in, and restarts."""
     ride = short(1)
     before, rest = ride.frames[:2500], ride.frames[2500:3500]
-    mapped, plain = with_map(ride, short_map), LocalisationFilter(ride.simulation.vehicle)
+    mapped, plain = with_map(ride, short_map), alone(ride.simulation.vehicle)
     step(mapped, before)
     step(plain, before)
-    without = LocalisationFilter(ride.simulation.vehicle)
-    without.restore(snapshots.unpack(snapshots.pack(mapped.snapshot())))
+    without = alone(ride.simulation.vehicle)
+    filter_of(without).restore(snapshots.unpack(snapshots.pack(filter_of(mapped).snapshot())))
     assert len(step(without, rest).states) == len(rest)
     again = with_map(ride, short_map)
-    again.restore(snapshots.unpack(snapshots.pack(plain.snapshot())))
+    filter_of(again).restore(snapshots.unpack(snapshots.pack(filter_of(plain).snapshot())))
     said = step(again, rest)
     assert said.matches[-1].run == 0
 
@@ -627,7 +664,7 @@ def test_same_ride_twice_gives_the_same_bytes(short_map: Path) -> None:
 # Smoother -----------------------------------------------------------------------------------------
 def test_smoother_takes_the_map_and_is_not_worse_than_the_filter(short_map: Path) -> None:
     ride, said = short(1), mapped(1, short_map)
-    smoothed = [each.message for each in said.processor.smoothed()]
+    smoothed = [each.message for each in filter_of(said.graph).smoothed()]
     begin_ns = moving(said.states)[0].stamp_ns
     errors = {}
     for name, states in (("filter", said.states), ("smoother", smoothed)):
@@ -643,7 +680,7 @@ def test_tracing_does_not_change_what_the_filter_says(short_map: Path) -> None:
     ride = short(1)
     frames = ride.frames[:4000]
     plain, traced = with_map(ride, short_map), with_map(ride, short_map)
-    traced.keep()
+    filter_of(traced).keep()
     assert step(traced, frames).packed() == step(plain, frames).packed()
 
 

@@ -22,6 +22,7 @@ from record_samples import START_NS, VEHICLE, Sent, plain, traffic
 
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Recorder
+from tramstream.recorder.file.events import PART_RESCUED
 from tramstream.recorder.file.sink import ACTIVE, Sink, Worker
 from tramstream.recorder.reader import open_record
 from tramstream.recorder.recording import Recording
@@ -275,7 +276,7 @@ def test_file_that_vanishes_while_it_is_written_is_written_once_more(tmp_path, f
     sink.finish()
     assert sink.finished
     assert (folder / "a.mcap").read_bytes() == b"before, meanwhile, after"
-    assert len(worker.sentences) == 1
+    assert list(worker.events) == [PART_RESCUED(part="a.mcap.active")]
 
 
 def test_group_is_in_the_file_or_given_back_when_the_disk_hangs():

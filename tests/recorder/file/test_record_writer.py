@@ -203,7 +203,8 @@ def test_failed_sync_is_told_and_the_file_is_given_up(tmp_path):
     record.flush()
     assert record.spoiled
     assert record.state == NodeHealth.DEGRADED
-    assert "replace it" in record.text
+    assert record.trouble is not None
+    assert record.trouble.facts["advice"] == "replace it"
 
 
 def test_exception_while_writing_leaves_a_recoverable_file(tmp_path):

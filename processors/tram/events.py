@@ -1,0 +1,202 @@
+"""What the filter `tram` does not believe, misses and begins anew: kinds of events.
+
+The limit of a refusal is that of the innovation gate: so many deviations of the innovation, which
+are those of the filter and of the measurement together (docs/theory.md, section 6). The number of
+deviations is a constant, for it says how rarely an honest measurement is refused; what a
+measurement is taken to err is set, and named by each kind.
+"""
+
+from __future__ import annotations
+
+from tramstream.events.kinds import DEBUG, ERROR, define
+
+FIX_REFUSED = define(
+    "tram.fix_refused",
+    "{key}: a fix is refused, innovation {innovation_m}, limit {limit_m}: {gate_sigma} of filter "
+    "and receiver, which says {accuracy_m}",
+    cause="Multipath, a spoofed or repeated fix, or a filter that is wrong. After 8 s it is taken "
+    "for a new error of the fixes. $.gnss.error_floor_m is the least that a receiver is taken to "
+    "err.",
+    cure="if good fixes are refused, raise $.gnss.error_floor_m",
+    key=str,
+    innovation_m=float,
+    limit_m=float,
+    gate_sigma=float,
+    accuracy_m=float,
+)
+VELOCITY_REFUSED = define(
+    "tram.velocity_refused",
+    "{key}: a velocity is refused, innovation {innovation_mps}, limit {limit_mps}: {gate_sigma} of "
+    "filter and receiver, which says {accuracy_mps}",
+    cause="Multipath, wheels that slip, or a clock of the receiver that is off: the velocity is of "
+    "another instant. The receiver states its own accuracy (speed_std_mps).",
+    cure="if it happens whenever the tram brakes, correct $.gnss.receiver_delay_s",
+    key=str,
+    innovation_mps=float,
+    limit_mps=float,
+    gate_sigma=float,
+    accuracy_mps=float,
+)
+WHEEL_REFUSED = define(
+    "tram.wheel_refused",
+    "{key}: the way of wheel {wheel} is refused, innovation {innovation_m}, limit {limit_m}: "
+    "{gate_sigma} of filter and wheel ($.wheels.stamp_std_s, $.wheels.m_per_pulse)",
+    cause="The wheel slips or slides; it is believed again when it has gone the filter's way for "
+    "0.8 s, or after 20 s.",
+    cure="if it happens on dry rail, correct $.wheels.m_per_pulse",
+    severity=DEBUG,
+    key=str,
+    wheel=str,
+    innovation_m=float,
+    limit_m=float,
+    gate_sigma=float,
+)
+WHEEL_SPEED_REFUSED = define(
+    "tram.wheel_speed_refused",
+    "{key}: the speed of wheel {wheel} is refused, innovation {innovation_mps}, limit {limit_mps}: "
+    "{gate_sigma} of filter and wheel ($.wheels.speed_std_mps)",
+    cause="The wheel slips or slides; after 20 s the filter's speed is taken to be wrong.",
+    cure="if it happens on dry rail, correct the signal's scale in the DBC",
+    severity=DEBUG,
+    key=str,
+    wheel=str,
+    innovation_mps=float,
+    limit_mps=float,
+    gate_sigma=float,
+)
+REFUSALS = (FIX_REFUSED, VELOCITY_REFUSED, WHEEL_REFUSED, WHEEL_SPEED_REFUSED)
+"""No news while two directions are tried, of which one is wrong."""
+SLIPPING = define(
+    "tram.slipping",
+    "{key}: a wheel has not fitted the motion for {slipping_s}, limit {limit_s}",
+    cause="A wheel slips or slides, or its scale is wrong.",
+    cure="if it lasts on dry rail, correct $.wheels.m_per_pulse",
+    key=str,
+    slipping_s=float,
+    limit_s=float,
+)
+NO_IMU = define(
+    "tram.no_imu",
+    "{key}: no inertial reading for {silence_s}, limit {limit_s}",
+    cause="The IMU is away or silent (health/imu/device), or its stamps are late.",
+    cure="look at the device imu",
+    key=str,
+    silence_s=float,
+    limit_s=float,
+)
+NO_WHEELS = define(
+    "tram.no_wheels",
+    "{key}: no wheel reading for {silence_s}, limit {limit_s}",
+    cause="The vehicle bus is silent (health/odometer/device), or its stamps are late.",
+    cure="look at the device odometer",
+    key=str,
+    silence_s=float,
+    limit_s=float,
+)
+NO_FIX = define(
+    "tram.no_fix",
+    "{key}: no usable fix for {silence_s}, limit {limit_s}",
+    cause="A tunnel or a depot; or the receiver is away, or has no view of the sky.",
+    cure="look at the device gnss and its antenna",
+    key=str,
+    silence_s=float,
+    limit_s=float,
+)
+HEADING_LOST = define(
+    "tram.heading_lost",
+    "no sensor has told of the motion for {silence_s}, limit {limit_s}; the heading is sought anew",
+    cause="Neither inertial nor wheel readings came for so long that the tram may have turned.",
+    cure="look at the devices imu and odometer",
+    silence_s=float,
+    limit_s=float,
+)
+IMPOSSIBLE_READING = define(
+    "tram.impossible_reading",
+    "{key}: an inertial reading that cannot be was left out",
+    cause="A rate or force that no tram makes, or that is no number.",
+    cure="look at the device imu and its mounting",
+    key=str,
+)
+ASTRAY = define(
+    "tram.astray",
+    "{key}: a measurement was left out, it is {off_s} off its frame's time, limit {limit_s}",
+    cause="Its stamp is wrong, or whoever makes frames does not order them.",
+    cure="look at the clock of that device",
+    key=str,
+    off_s=float,
+    limit_s=float,
+)
+ACCURACY_UNSTATED = define(
+    "tram.accuracy_unstated",
+    "{key}: a fix without a usable accuracy was taken for one of {taken_m}",
+    cause="The receiver states no accuracy (plain NMEA).",
+    cure="have it send UBX-NAV-PVT, or NMEA GST",
+    key=str,
+    taken_m=float,
+)
+IMPOSSIBLE_VELOCITY = define(
+    "tram.impossible_velocity",
+    "{key}: a fix's velocity of {speed_mps} was left out, limit {limit_mps}",
+    cause="The receiver errs; no rail vehicle of this house is faster.",
+    cure="look at the receiver's own velocity",
+    key=str,
+    speed_mps=float,
+    limit_mps=float,
+)
+ERROR_TAKEN = define(
+    "tram.error_taken",
+    "{key}: fixes have not fitted the motion for {refused_s}; their error is taken for {error_m}",
+    cause="A new multipath, or a receiver that repeats or invents fixes: they are followed no "
+    "further than this error lets them.",
+    cure="look at the antenna's view of the sky",
+    key=str,
+    refused_s=float,
+    error_m=float,
+)
+FIRST_FIXES_WRONG = define(
+    "tram.first_fixes_wrong",
+    "{key}: the first fixes were {away_m} from all that came; the position is taken from these",
+    cause="Receivers invent their first fixes when they are switched on in a hall.",
+    key=str,
+    away_m=float,
+)
+POSITION_TAKEN = define(
+    "tram.position_taken",
+    "{key}: the position was {away_m} from the fixes for {lasted_s}; it is taken from them again",
+    cause="The filter was led astray: a long slip, a wrong heading, or fixes that are all wrong.",
+    cure="compare est/ekf/location with raw/gnss/location on a map",
+    severity=ERROR,
+    key=str,
+    away_m=float,
+    lasted_s=float,
+)
+NO_HOPE = define(
+    "tram.hopeless",
+    "the position was taken from the fixes {times} times within {within_s}; the filter begins anew",
+    cause="The filter does not know what it does: the configuration or the sensors are wrong.",
+    cure="check $.wheels, $.imu.mounting_deg and $.gnss.lever_arm_m",
+    severity=ERROR,
+    times=int,
+    within_s=float,
+)
+BEGAN_ELSEWHERE = define(
+    "tram.began_elsewhere",
+    "fixes stay {limit_m} and more from where the ride began; the filter begins anew",
+    cause="The first fix of the ride was wrong.",
+    severity=ERROR,
+    limit_m=float,
+)
+SET_BACK = define(
+    "tram.set_back",
+    "time goes on from an instant {back_s} earlier; the filter begins anew",
+    cause="A clock was set back, or another ride is replayed.",
+    severity=ERROR,
+    back_s=float,
+)
+TIME_BACKWARDS = define(
+    "tram.time_backwards",
+    "time ran backwards by {back_s}; the frame was left out",
+    cause="Somebody has set a clock back, replays another ride, or makes frames twice.",
+    cure="see with `tramstream top` who publishes frames",
+    back_s=float,
+)

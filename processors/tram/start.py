@@ -1,0 +1,43 @@
+"""How well the filter `tram` knows its states before the first reading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tramstream.config import Vehicle
+from tramstream.estimation.kalman import Array
+from tramstream.processors.tram_model.states import Ix
+
+ROLL_STD_RAD = 0.06
+"""Cant of 90 mm on 1435 mm, at the start."""
+PITCH_STD_RAD = 0.06
+"""Grade of 7 % with a margin, at the start."""
+GYRO_SCALE_STD = 0.003
+"""ADIS16465 data sheet: sensitivity tolerance."""
+START_STD_M = 1000.0
+"""Position before the first fix."""
+
+
+def first_deviations(vehicle: Vehicle) -> Array:
+    """Standard deviations of all states (`Ix`) at the start, shape (28,)."""
+    imu, wheels = vehicle.imu, vehicle.wheels
+    std = np.zeros(len(Ix))
+    std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M
+    std[Ix.ROLL], std[Ix.PITCH] = ROLL_STD_RAD, PITCH_STD_RAD
+    std[[Ix.GYRO_X, Ix.GYRO_Y, Ix.GYRO_Z]] = imu.gyro_bias_std_radps if imu else 0.0
+    if imu is not None:
+        std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
+        if vehicle.ekf.vertical_std_mps2_rthz:
+            std[Ix.ACCEL_Z] = imu.accel_bias_std_mps2
+        std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
+        std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
+    else:
+        std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
+    std[Ix.PIVOT] = vehicle.ekf.pivot_std_m
+    std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
+    std[Ix.WHEEL_DELAY] = wheels.delay_std_s
+    if vehicle.gnss is not None:
+        std[Ix.GNSS_DELAY] = math.hypot(vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0)
+    return std
