@@ -126,6 +126,7 @@ class FixesMemory:
     """First fix."""
     last_ns: int = 0
     accepted_ns: int = 0
+    """Stamp of the last fix that was accepted."""
     taken_ns: list[int] = field(default_factory=list)
     """When the position was taken from the fixes."""
 
@@ -148,11 +149,6 @@ class Fixes:
         self.floor_m = gnss.error_floor_m if gnss else 0.005
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
-
-    @property
-    def accepted_ns(self) -> int:
-        """Stamp of the last fix that was accepted."""
-        return self.memory.accepted_ns
 
     @property
     def diverged(self) -> Event | None:

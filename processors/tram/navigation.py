@@ -217,8 +217,8 @@ class Navigation:
         noise : ndarray, shape (6,), or None
             Variance that rates and specific forces scatter by, if they are there.
         """
-        memory = self.memory
-        ekf = self.ekf
+        memory, ekf = self.memory, self.ekf
+        now = memory.filter
         if memory.stood and not standing:
             ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
         memory.stood = standing
@@ -231,15 +231,15 @@ class Navigation:
                 measurements.sort(key=_stamp)
             for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
-                if not ekf.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
+                if not now.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
                     self.complaints.append(_astray(measurement, frame_ns))
                     continue
                 if stamp_ns < frame_ns:
                     go_to(stamp_ns, self.between, standing)
-                elif ekf.stamp_ns < frame_ns:
+                elif now.stamp_ns < frame_ns:
                     go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
-        if ekf.stamp_ns < frame_ns:
+        if now.stamp_ns < frame_ns:
             go_to(frame_ns, self.between, standing)
         if self._trail is not None:
             self._trail.pass_by(frame_ns)
@@ -350,7 +350,7 @@ class Navigation:
 
     def mode(self, stamp_ns: int) -> int:
         """What is published of the place at `stamp_ns`, once the heading is known."""
-        return published_mode(Phase.RUNNING, (stamp_ns - self.fixes.accepted_ns) / S)
+        return published_mode(Phase.RUNNING, (stamp_ns - self.memory.fixes.accepted_ns) / S)
 
     def learned(self) -> list[Learned]:
         """Give what has been learned of the sensors."""
