@@ -25,6 +25,7 @@ import numpy as np
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Distance, Vehicle
+from tramstream.estimation.fixes import measures_speed
 from tramstream.events import Event, declared
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.processors.distance import events as own_events
@@ -227,7 +228,7 @@ class DistanceFilter(Processor):
         return _Taken(WHEEL_PATH, 0.0, variance, accepted=True)
 
     def _take_fix(self, fix: GnssFix) -> list[_Taken]:
-        if not fix.valid:
+        if not (fix.valid and measures_speed(fix)):
             return []
         self._predict(fix.stamp_ns)
         # Speed over ground has no sign; the tram's direction is the filter's own.

@@ -71,6 +71,11 @@ def _away_m(fix: GnssFix, level: LocalLevel) -> float:
     return math.hypot(north, east)
 
 
+def measures_speed(fix: GnssFix) -> bool:
+    """Whether the receiver gives a speed: one that has measured none leaves speed and course 0."""
+    return fix.HasField("vel_n_mps") or fix.speed_mps != 0.0
+
+
 def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:
     """East and north in `level`, m/s; None if the receiver has measured nothing that can be one.
 

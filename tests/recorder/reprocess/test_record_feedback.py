@@ -22,7 +22,7 @@ from tramstream.keys import Key
 from tramstream.live import registry
 from tramstream.live.host import Memory, ProcessorNode
 from tramstream.processor import Sample
-from tramstream.processors.localisation.processor import LOG, UNHEARD
+from tramstream.processors.localisation.events import TRACK_UNHEARD
 from tramstream.proto.health_pb2 import Loss
 from tramstream.recorder.file.writer import RecordFile
 from tramstream.recorder.reader import open_record
@@ -273,8 +273,8 @@ def test_matcher_that_stays_dead_leaves_the_filter_running_without_a_map_and_sai
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ride = ridden(tmp_path / "dead", dead_s=(16.0, RIDE_S + 60.0))
-    said = [each.message for each in ride.ear.heard(LOG)]
-    assert said.count(UNHEARD) == 1
+    said = [each.kind for each in ride.ear.heard(keys.EVENT.at("ekf"))]
+    assert said.count(TRACK_UNHEARD.name) == 1
     last = ride.ear.heard(keys.EST_STATE)[-1]
     assert (last.stamp_ns - EPOCH_NS) / S > RIDE_S - 1.0
     assert "track_across" not in {each.measurement for each in last.innovations}
