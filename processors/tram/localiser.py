@@ -379,11 +379,10 @@ class TramLocaliser:
     def _go_on(self, memory: LocaliserMemory) -> None:
         if self._watcher is not None:
             self._watcher.restarted()
-        own, kept = self.memory, memory.navigation
-        self._navigation = self._search = own.navigation = own.search = None
-        begun = None
-        if memory.level is not None and kept is not None:
-            begun = self._navigate(memory.level)
+        own, level, kept = self.memory, memory.level, memory.navigation
+        self._navigation = own.navigation = None
+        self._end_search()
+        begun = None if level is None or kept is None else self._navigate(level)
         assign(own, memory)
         if begun is not None and kept is not None:
             begun.go_back(kept)
