@@ -182,10 +182,10 @@ class Several(Kind):
 
     def __init__(self, kind: type, inner: Kind) -> None:
         self._kind, self._inner = kind, inner
+        self._of_values = _shared(inner)
 
     def copy(self, value: Any) -> Any:
-        inner = self._inner
-        each = value if isinstance(inner, Value) else map(inner.copy, value)
+        each = value if self._of_values else map(self._inner.copy, value)
         return deque(each, value.maxlen) if self._kind is deque else self._kind(each)
 
     def plain(self, value: Any) -> Any:
@@ -214,8 +214,7 @@ class Row(Kind):
     def __init__(self, kind: Any, inner: list[Kind]) -> None:
         self._make = kind._make if hasattr(kind, "_make") else tuple
         self._inner = inner
-        self.shared: bool = all(isinstance(each, Value) or _shared(each) for each in inner)
-        """Whether nobody can change what is in it either."""
+        self.shared: bool = all(_shared(each) for each in inner)
 
     def copy(self, value: Any) -> Any:
         if self.shared:
@@ -233,7 +232,8 @@ class Row(Kind):
 
 
 def _shared(kind: Kind) -> bool:
-    return isinstance(kind, Row) and kind.shared
+    """Whether copies share what is of this kind, for nobody can change it."""
+    return isinstance(kind, Value) or (isinstance(kind, Row) and kind.shared)
 
 
 class Dictionary(Kind):
