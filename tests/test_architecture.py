@@ -361,9 +361,6 @@ def test_every_entry_point_names_a_module_of_ours() -> None:
 
 
 OWN_BYTES = {
-    "processors/resampling/resampler.py",
-    "processors/tram/localiser.py",
-    "processors/tram/heading.py",
     "recorder/reprocess/parallel.py",
     "recorder/reader.py",
     "tramstream/boundary.py",
@@ -384,6 +381,25 @@ def test_bytes_of_strangers_are_decoded_at_the_boundary_only(name: str) -> None:
         if isinstance(node, ast.Attribute) and node.attr in calls
     ]
     assert not found or name in OWN_BYTES, f"{name}:{found[0]}: use tramstream.boundary.decode"
+
+
+OWN_MEMORY = {
+    "processors/kaspar2023/localiser.py",
+    "processors/localisation/processor.py",
+    "processors/tram/localiser.py",
+}
+"""The models' localisers, whose memory is another dataclass for each, and who asks them for it."""
+
+
+@pytest.mark.parametrize("name", [each for each in MODULES if each.startswith("processors/")])
+def test_stages_take_no_memory_apart_field_by_field(name: str) -> None:
+    """It is one dataclass, which `tramstream.memory.stage` copies; see docs/architecture.md."""
+    found = [
+        node.lineno
+        for node in ast.walk(TREES[name])
+        if isinstance(node, ast.FunctionDef) and node.name in {"snapshot", "restore"}
+    ]
+    assert not found or name in OWN_MEMORY, f"{name}:{found[0]}: declare a dataclass"
 
 
 def test_generated_code_is_that_of_the_proto_files(tmp_path: Path) -> None:

@@ -10,9 +10,10 @@ from tramstream.analysis.studies.frames import frames
 from tramstream.cli.figures.bench_stages import Figure
 from tramstream.estimation.localiser import TRACKING
 from tramstream.lines.line import built_in_line
+from tramstream.memory.stage import from_plain
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 
@@ -43,7 +44,7 @@ def ekf() -> list[Figure]:
             navigation = Navigation(simulation.vehicle, level)
             state = whole.localiser.snapshot()["navigation"]
             assert state is not None
-            navigation.restore(state)
+            navigation.go_back(from_plain(NavigationMemory, state))
             rest = made[index + 1 :]
             break
     assert navigation is not None, "the ride is long enough to find its heading"

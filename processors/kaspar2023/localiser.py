@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,9 +32,10 @@ from tramstream.config import Vehicle, takes_track
 from tramstream.errors import ConfigError
 from tramstream.estimation.fixes import antenna_l, deviations, unusable
 from tramstream.estimation.localiser import Array, Estimate, Learned, Verdict, values_of
-from tramstream.estimation.track import LocalTrack, Pose, Trail
+from tramstream.estimation.track import LocalTrack, Pose, Trail, TrailMemory
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
+from tramstream.memory.annotations import Varying
 from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import State
 from tramstream.processors.kaspar2023 import model
@@ -80,6 +82,28 @@ _NAMES: tuple[tuple[Ix, str, str], ...] = (
 )
 
 
+@dataclass
+class LocaliserMemory:
+    """What a `Kaspar2023Localiser` remembers."""
+
+    x: Varying
+    P: Varying
+    """Of the filter, which replaces them with every step: as they were when last asked for."""
+    level: LocalLevel | None = None
+    stamp_ns: int = 0
+    heading_known: bool = False
+    fix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """The newest: antenna in `l`, variances, where the filter had it."""
+    start_fix: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """Likewise, the last taken standing."""
+    fix_ns: int = 0
+    wheels: PairMemory = field(default_factory=PairMemory)
+    ahead: AheadMemory = field(default_factory=AheadMemory)
+    trail: TrailMemory = field(default_factory=TrailMemory)
+    given: list[Verdict] = field(default_factory=list)
+    """Verdicts on what was taken since the last frame."""
+
+
 class Kaspar2023Localiser:
     """The 25 states of the work on the frames of the resampler.
 
@@ -111,33 +135,29 @@ class Kaspar2023Localiser:
         self._floor_m = gnss.error_floor_m if gnss else 0.0
         self._start_std = start_std(vehicle)
         Q = model.process_noise(imu.accel_walk_mps3_rthz, imu.gyro_walk_radps2_rthz)
-        self._filter, self._ahead = Kaspar2023Filter(Q), Ahead(Q)
-        self._wheels = WheelPair(vehicle)
-        self._level: LocalLevel | None = None
+        self._filter = Kaspar2023Filter(Q)
+        self.memory = memory = LocaliserMemory(self._filter.x, self._filter.P)
+        self._ahead = Ahead(Q, memory.ahead)
+        self._wheels = WheelPair(vehicle, memory.wheels)
         self._gravity_mps2 = 0.0
-        self._stamp_ns = 0
-        self._heading_known = False
-        self._fix = np.zeros((3, 3))  # newest: antenna in l, variances, where the filter had it
-        self._start_fix = np.zeros((3, 3))  # likewise, the last taken standing
-        self._fix_ns = 0
         self._complaints: list[Event] = []
         self._pivot_m = vehicle.ekf.pivot_m
-        self._trail = Trail(vehicle.ekf.track_delay_s) if takes_track(vehicle) else None
-        self._given: list[Verdict] = []  # on what was taken since the last frame
+        span_s = vehicle.ekf.track_delay_s
+        self._trail = Trail(span_s, memory.trail) if takes_track(vehicle) else None
         warm_up(Q)
 
     @property
     def level(self) -> LocalLevel | None:
-        return self._level
+        return self.memory.level
 
     def take(self, frame: SyncFrame) -> Estimate | None:
         """See `Localiser`; frames without an inertial mean are left out."""
-        if not frame.HasField("imu") or frame.stamp_ns <= self._stamp_ns:
+        if not frame.HasField("imu") or frame.stamp_ns <= self.memory.stamp_ns:
             return None
-        if self._level is None and not self._begin(frame.gnss):
+        if self.memory.level is None and not self._begin(frame.gnss):
             return None
         self._advance(frame.stamp_ns)
-        verdicts, self._given = self._given, []
+        verdicts, self.memory.given = self.memory.given, []
         verdicts += self._take_inertial(frame.imu)
         for odometry in frame.odometry:
             verdicts += self._take_wheels(odometry)
@@ -155,7 +175,7 @@ class Kaspar2023Localiser:
     def follow(self, track: LocalTrack) -> bool:
         """The work's map: the distance to the track, in normal form (errata of 3.35)."""
         then = self._trail.at(track.stamp_ns, self._pose()) if self._trail is not None else None
-        told = track.told(*then[:3]) if then is not None and self._heading_known else None
+        told = track.told(*then[:3]) if then is not None and self.memory.heading_known else None
         if told is None:
             return False
         H = np.zeros((1, SIZE))
@@ -163,7 +183,7 @@ class Kaspar2023Localiser:
         across = np.array([[told.across_m]])
         R = np.array([[told.across_variance]])
         self._filter.update(np.zeros((1, 1)), lambda _: H, lambda _: across, R)
-        self._given += _verdicts(self._filter, TRACK)
+        self.memory.given += _verdicts(self._filter, TRACK)
         return True
 
     def see(self, mean: ImuMean) -> None:
@@ -173,9 +193,9 @@ class Kaspar2023Localiser:
     def ahead(self) -> Estimate | None:
         """See `Localiser`."""
         newest_ns = self._ahead.newest_ns
-        if self._level is None or newest_ns <= self._stamp_ns:
+        if self.memory.level is None or newest_ns <= self.memory.stamp_ns:
             return None
-        kalman = self._ahead.predict(self._filter, self._stamp_ns, self._gravity_mps2)
+        kalman = self._ahead.predict(self._filter, self.memory.stamp_ns, self._gravity_mps2)
         return self._estimate(kalman, newest_ns, [])
 
     # Start ---------------------------------------------------------------------------------------
@@ -186,19 +206,19 @@ class Kaspar2023Localiser:
             return False
         place = first.latitude_deg, first.longitude_deg, first.height_ellipsoid_m
         self._lay(LocalLevel.at_deg(*place))
-        self._stamp_ns = first.stamp_ns
+        self.memory.stamp_ns = first.stamp_ns
         self._filter.x = np.zeros((SIZE, 1))
         self._filter.P = np.diag(self._start_std**2)
         return True
 
     def _usable(self, fix: GnssFix) -> bool:
-        reason = unusable(fix, self._level) if fix.valid else None
+        reason = unusable(fix, self.memory.level) if fix.valid else None
         if reason is not None:
             self._complaints.append(reason)
         return fix.valid and reason is None
 
     def _lay(self, level: LocalLevel) -> None:
-        self._level = level
+        self.memory.level = level
         self._gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
 
     def _lose(self) -> None:
@@ -209,14 +229,14 @@ class Kaspar2023Localiser:
         P[moving, :] = P[:, moving] = 0.0
         P[moving, moving] = np.diag(self._start_std[moving] ** 2)
         self._filter.x, self._filter.P = x, P
-        self._heading_known = False
-        self._start_fix = np.zeros((3, 3))
+        self.memory.heading_known = False
+        self.memory.start_fix = np.zeros((3, 3))
         self._wheels.forget()
 
     def _find_heading(self, age_s: float) -> None:
         """Turn the filter's frame so that it has moved as the fixes have."""
-        kalman, (z, variance, reckoned) = self._filter, self._fix
-        start_z, start_variance, start_reckoned = self._start_fix
+        kalman, (z, variance, reckoned) = self._filter, self.memory.fix
+        start_z, start_variance, start_reckoned = self.memory.start_fix
         moved, reckoned_way = (z - start_z)[:2], (reckoned - start_reckoned)[:2]
         way_m, reckoned_m = math.hypot(*moved), math.hypot(*reckoned_way)
         started = start_variance[0] > 0.0
@@ -225,7 +245,7 @@ class Kaspar2023Localiser:
         if started and waiting and not standing:
             return
         if not started or standing or abs(way_m - reckoned_m) > AGREEMENT * reckoned_m:
-            self._start_fix = self._fix.copy()
+            self.memory.start_fix = self.memory.fix.copy()
             return
         x, P = kalman.x.copy(), kalman.P.copy()
         x[Ix.YAW, 0] += math.atan2(moved[1], moved[0]) - math.atan2(*reckoned_way[::-1])
@@ -235,12 +255,12 @@ class Kaspar2023Localiser:
             P[slot, slot] = known
         P[Ix.YAW, Ix.YAW] += (variance[0] + start_variance[0]) / way_m**2
         kalman.x, kalman.P = x, P
-        self._heading_known = True
+        self.memory.heading_known = True
 
     # Steps ---------------------------------------------------------------------------------------
     def _advance(self, stamp_ns: int) -> None:
         """Predict in steps of about `STEP_S`; over too long a gap nothing is known."""
-        dt_s, self._stamp_ns = (stamp_ns - self._stamp_ns) / S, stamp_ns
+        dt_s, self.memory.stamp_ns = (stamp_ns - self.memory.stamp_ns) / S, stamp_ns
         before = self._pose()
         if dt_s > MAX_GAP_S:
             self._complaints.append(HEADING_LOST(silence_s=dt_s, limit_s=MAX_GAP_S))
@@ -283,15 +303,15 @@ class Kaspar2023Localiser:
         return _verdicts(self._filter, reading.names)
 
     def _take_fix(self, fix: GnssFix) -> list[Verdict]:
-        assert self._level is not None  # laid at the first fix
-        z = np.array(antenna_l(fix, self._level))
+        assert self.memory.level is not None  # laid at the first fix
+        z = np.array(antenna_l(fix, self.memory.level))
         level_std, up_std = deviations(fix, self._floor_m)
         variance = np.array((level_std, level_std, up_std)) ** 2
-        age_s = (self._stamp_ns - fix.stamp_ns) / S
+        age_s = (self.memory.stamp_ns - fix.stamp_ns) / S
         arguments = (self._p_va_v, age_s)
         reckoned = model.antenna(self._filter.x, *arguments)[:, 0]
-        self._fix, self._fix_ns = np.array((z, variance, reckoned)), fix.stamp_ns
-        if not self._heading_known:
+        self.memory.fix, self.memory.fix_ns = np.array((z, variance, reckoned)), fix.stamp_ns
+        if not self.memory.heading_known:
             self._find_heading(age_s)
             return []
         self._filter.update(
@@ -310,13 +330,13 @@ class Kaspar2023Localiser:
     ) -> Estimate:
         x = kalman.x[:, 0].tolist()
         covariance = kalman.P.take(_MOTION_IN_P).reshape(7, 7)
-        age_s = (stamp_ns - self._fix_ns) / S
+        age_s = (stamp_ns - self.memory.fix_ns) / S
         speed = x[Ix.SPEED]
-        if self._heading_known:
+        if self.memory.heading_known:
             p_l = x[Ix.EAST], x[Ix.NORTH], x[Ix.UP]
             mode = MotionState.TRACKING if age_s <= OUTAGE_S else MotionState.DEAD_RECKONING
         else:
-            (east, north, up), variance, _ = self._fix.tolist()
+            (east, north, up), variance, _ = self.memory.fix.tolist()
             p_l, mode = (east, north, up), MotionState.HEADING_UNKNOWN
             covariance[:3, :] = covariance[:, :3] = 0.0
             covariance[:3, :3] = np.diag(variance) + np.eye(3) * (speed * age_s) ** 2
@@ -350,37 +370,18 @@ class Kaspar2023Localiser:
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
         """See `Localiser`."""
-        level = self._level
-        return {
-            "x": self._filter.x.copy(),
-            "P": self._filter.P.copy(),
-            "origin": [level.latitude_rad, level.longitude_rad, level.height_m] if level else None,
-            "stamp_ns": self._stamp_ns,
-            "heading_known": self._heading_known,
-            "fix": self._fix.copy(),
-            "start_fix": self._start_fix.copy(),
-            "fix_ns": self._fix_ns,
-            "wheels": to_plain(self._wheels.memory),
-            "ahead": to_plain(self._ahead.memory),
-            "given": [tuple(each) for each in self._given],
-            "trail": None if self._trail is None else self._trail.snapshot(),
-        }
+        memory = self.memory
+        memory.x, memory.P = self._filter.x, self._filter.P
+        return to_plain(memory)
 
     def restore(self, state: State) -> None:
         """See `Localiser`."""
-        self._filter.x, self._filter.P = state["x"].copy(), state["P"].copy()
-        self._level = None
-        if state["origin"] is not None:
-            self._lay(LocalLevel(*state["origin"]))
-        self._stamp_ns, self._fix_ns = state["stamp_ns"], state["fix_ns"]
-        self._heading_known = state["heading_known"]
-        self._fix, self._start_fix = state["fix"].copy(), state["start_fix"].copy()
-        assign(self._wheels.memory, from_plain(PairMemory, state["wheels"]))
-        assign(self._ahead.memory, from_plain(AheadMemory, state["ahead"]))
+        memory = self.memory
+        assign(memory, from_plain(LocaliserMemory, state))
+        self._filter.x, self._filter.P = memory.x, memory.P
+        if memory.level is not None:
+            self._lay(memory.level)
         self._complaints = []
-        self._given = [Verdict(*each) for each in state["given"]]
-        if self._trail is not None and state["trail"] is not None:
-            self._trail.restore(state["trail"])
 
 
 def _verdicts(kalman: Kaspar2023Filter, names: Sequence[str]) -> list[Verdict]:

@@ -41,10 +41,10 @@ class AheadMemory:
 class Ahead:
     """Keeps the readings that the filter has not seen yet, and a filter to try them on."""
 
-    def __init__(self, Q: Array) -> None:
+    def __init__(self, Q: Array, memory: AheadMemory) -> None:
         self._Q = Q
         self._filter = Kaspar2023Filter(Q)
-        self.memory = AheadMemory()
+        self.memory = memory
         self._stamps, self._readings = self.memory.stamps, self.memory.readings
 
     @property

@@ -71,15 +71,17 @@ class WheelPair:
     Parameters
     ----------
     vehicle : tramstream.config.Vehicle
+    memory : PairMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: PairMemory | None = None) -> None:
         configured = vehicle.odometer.wheels if vehicle.odometer is not None else {}
         self._sides = {name: wheel.side or name for name, wheel in configured.items()}
         self._m_per_pulse = vehicle.wheels.m_per_pulse
         self._half_track_m = vehicle.wheels.track_m / 2.0
         self._speed_std_mps = vehicle.wheels.speed_std_mps
-        self.memory = PairMemory()
+        self.memory = PairMemory() if memory is None else memory
 
     @property
     def pulses_per_mps(self) -> float:

@@ -43,10 +43,12 @@ class Delayed:
     ----------
     delay_s : float
         D.
+    memory : DelayedMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
-    def __init__(self, delay_s: float) -> None:
-        self.memory = DelayedMemory()
+    def __init__(self, delay_s: float, memory: DelayedMemory | None = None) -> None:
+        self.memory = DelayedMemory() if memory is None else memory
         self._delay_ns = int(delay_s * S)
         self._recorded: dict[tuple[int, int], LateSample] | None = None
 

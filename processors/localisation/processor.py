@@ -13,6 +13,7 @@ filter is put onto it where no doubt is left, at a stated delay that is the same
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import cast
 
@@ -27,7 +28,6 @@ from tramstream.estimation.published import Places, PlacesMemory
 from tramstream.estimation.track import CERTAIN, in_level
 from tramstream.events import declared
 from tramstream.keys import Key
-from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.processor import Ledger, Processor, Sample, State
 from tramstream.processors.kaspar2023 import events as kaspar2023_events
 from tramstream.processors.localisation import events as own_events
@@ -51,6 +51,23 @@ behind a switch."""
 _KNOWN = LocationFix.PositionCovarianceType.KNOWN
 
 
+@dataclass
+class LocalisationMemory:
+    """What the localisation filter remembers, apart from what its model does."""
+
+    second: int = 0
+    now_count: int = 0
+    now_ns: int = 0
+    """Stamp of the last state for now."""
+    last: tuple[int, float] | None = None
+    """Stamp and height of the last state."""
+    unheard_m: float | None = None
+    """Way since the track was heard of; None: never."""
+    delayed: DelayedMemory = field(default_factory=DelayedMemory)
+    places: PlacesMemory | None = None
+    """None before the first state."""
+
+
 class LocalisationFilter(Processor):
     """States of the vehicle from `sync/fusion/frame`."""
 
@@ -68,6 +85,8 @@ class LocalisationFilter(Processor):
     events = declared(own_events, fix_events, tram_events, kaspar2023_events)
     pacing = (keys.SYNC_FRAME,)
     demanding = True
+    Memory = LocalisationMemory
+    memory: LocalisationMemory
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()
@@ -80,14 +99,9 @@ class LocalisationFilter(Processor):
         self._delayed: Delayed | None = None
         if takes_track(vehicle):
             self.inputs = (keys.SYNC_FRAME, keys.MAP_TRACK)
-            self._delayed = Delayed(vehicle.ekf.track_delay_s)
+            self._delayed = Delayed(vehicle.ekf.track_delay_s, self.memory.delayed)
         self._late_recorded: Late | None = None
-        self._unheard_m: float | None = None  # way since the track was heard of; None: never
-        self._last: tuple[int, float] | None = None  # stamp and height of the last state
         self._unmatched = vehicle.map is not None and MATCHER not in vehicle.processors
-        self._second = 0
-        self._now_count = 0
-        self._now_ns = 0  # stamp of the last state for now
         self._tracer: Tracer | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
@@ -106,18 +120,18 @@ class LocalisationFilter(Processor):
         for mean in means:
             self.localiser.see(mean)
         estimate = self.localiser.ahead() if means else None
-        if estimate is None or estimate.stamp_ns == self._now_ns:
+        if estimate is None or estimate.stamp_ns == self.memory.now_ns:
             return []
         message = self._message(estimate, self._here())
         if message is None:
             return []
-        self._now_ns = estimate.stamp_ns
-        location = _location(message) if self._now_count % LOCATION_EVERY == 0 else None
+        self.memory.now_ns = estimate.stamp_ns
+        location = _location(message) if self.memory.now_count % LOCATION_EVERY == 0 else None
         message.ClearField("covariance")  # half of what a record held, and in `EST_STATE` as well
         made = [self.emit(keys.EST_NOW, message, estimate.stamp_ns)]
         if location is not None:
             made.append(self.emit(keys.EST_LOCATION, location, estimate.stamp_ns))
-        self._now_count += 1
+        self.memory.now_count += 1
         return made
 
     def _take(self, sample: Sample) -> list[Sample]:
@@ -132,8 +146,8 @@ class LocalisationFilter(Processor):
             else:
                 made += self._start_again(sample.stamp_ns)
         second = sample.stamp_ns // S
-        if second != self._second:
-            self._second = second
+        if second != self.memory.second:
+            self.memory.second = second
             made += self._learned(sample.stamp_ns)
             made += self.overdue_events(sample.stamp_ns)
         for event in self.localiser.complaints():
@@ -154,8 +168,8 @@ class LocalisationFilter(Processor):
 
     def _follow(self, geometry: TrackGeometry) -> None:
         """Put the filter onto the track, where there is no doubt left."""
-        level, last = self.localiser.level, self._last
-        self._unheard_m = 0.0
+        level, last = self.localiser.level, self.memory.last
+        self.memory.unheard_m = 0.0
         if geometry.probability >= CERTAIN and level is not None and last is not None:
             track = in_level(geometry, level, last[1])
             if track is not None:
@@ -163,16 +177,16 @@ class LocalisationFilter(Processor):
 
     def _miss(self, state: MotionState) -> list[Sample]:
         """Notice that nothing is heard of the track any more, or never will be."""
-        stamp_ns, last = state.stamp_ns, self._last
-        self._last = stamp_ns, state.height_ellipsoid_m
+        memory, stamp_ns, last = self.memory, state.stamp_ns, self.memory.last
+        memory.last = stamp_ns, state.height_ellipsoid_m
         if last is None:
             return self.raise_event(MAP_UNMATCHED(), stamp_ns) if self._unmatched else []
-        if self._unheard_m is None or self._unheard_m > UNHEARD_M:
+        if memory.unheard_m is None or memory.unheard_m > UNHEARD_M:
             return []
-        self._unheard_m += abs(state.speed_mps) * (stamp_ns - last[0]) / S
-        if self._unheard_m <= UNHEARD_M:
+        memory.unheard_m += abs(state.speed_mps) * (stamp_ns - last[0]) / S
+        if memory.unheard_m <= UNHEARD_M:
             return []
-        return self.raise_event(TRACK_UNHEARD(way_m=self._unheard_m, limit_m=UNHEARD_M), stamp_ns)
+        return self.raise_event(TRACK_UNHEARD(way_m=memory.unheard_m, limit_m=UNHEARD_M), stamp_ns)
 
     @property
     def late_recorded(self) -> Late | None:
@@ -195,7 +209,7 @@ class LocalisationFilter(Processor):
         else:
             self._tracer.restarted()
             self.localiser = traced(self._vehicle, self._tracer)
-        self._places = None
+        self._places = self.memory.places = None
         return self.raise_event(own_events.NO_NUMBER(), stamp_ns)
 
     def _learned(self, stamp_ns: int) -> list[Sample]:
@@ -216,6 +230,7 @@ class LocalisationFilter(Processor):
         assert level is not None  # there is an estimate
         if places is None or places.level is not level:
             places = self._places = Places(level)
+            self.memory.places = places.memory
         return places
 
     def _message(self, estimate: Estimate, places: Places) -> MotionState | None:
@@ -261,33 +276,17 @@ class LocalisationFilter(Processor):
 
     # Memory --------------------------------------------------------------------------------------
     def snapshot(self) -> State:
-        return {
-            "sequences": self.sequences(),
-            "localiser": self.localiser.snapshot(),
-            "second": self._second,
-            "delayed": None if self._delayed is None else to_plain(self._delayed.memory),
-            "unheard_m": self._unheard_m,
-            "last": None if self._last is None else list(self._last),
-            "now_count": self._now_count,
-            "now_ns": self._now_ns,
-            "places": None if self._places is None else to_plain(self._places.memory),
-        }
+        return {**super().snapshot(), "localiser": self.localiser.snapshot()}
 
     def restore(self, state: State) -> None:
-        self.restore_sequences(state["sequences"])
         self.localiser.restore(state["localiser"])
-        self._second = state["second"]
-        self._now_count, self._now_ns = state["now_count"], state["now_ns"]
+        super().restore(state)
+
+    def restored(self) -> None:
         self._places = None
-        level = self.localiser.level
-        last = state["last"]
-        self._last = None if last is None else (int(last[0]), float(last[1]))
-        self._unheard_m = state["unheard_m"]
-        if self._delayed is not None and state["delayed"] is not None:
-            assign(self._delayed.memory, from_plain(DelayedMemory, state["delayed"]))
-        if state["places"] is not None and level is not None:
-            self._places = Places(level)
-            assign(self._places.memory, from_plain(PlacesMemory, state["places"]))
+        level, places = self.localiser.level, self.memory.places
+        if places is not None and level is not None:
+            self._places = Places(level, places)
 
 
 def _location(state: MotionState) -> LocationFix:

@@ -9,14 +9,15 @@ directions. A vehicle that leaves the map is said to be off it, and looked for a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from tramstream.clock import S
 from tramstream.config import Map
+from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate
-from tramstream.processor import State
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching import step as steps
 from tramstream.tracks.map_frame import MapFrame
@@ -92,6 +93,27 @@ class Match(NamedTuple):
     """Whether the vehicle's heading is known: before, the direction of a run is a guess."""
 
 
+def _no_hypotheses() -> Array:
+    numbers = np.zeros(kernels.MEMORY)
+    numbers[kernels.SYNCED], numbers[kernels.DIRECTION] = kernels.NONE, 1.0
+    return numbers
+
+
+@dataclass
+class HypothesesMemory:
+    """What a `Matcher` remembers."""
+
+    numbers: Array = field(default_factory=_no_hypotheses)
+    """See `hypotheses`."""
+    stamp_ns: int = 0
+    looked_ns: int = 0
+    way_m: float = 0.0
+    """Since tracks were looked for."""
+    headed: bool = False
+    guessed: bool = False
+    """The direction of travel."""
+
+
 class Matcher:
     """Keeps hypotheses over the runs of a network.
 
@@ -123,19 +145,13 @@ class Matcher:
         self._names: dict[int, str] = {}
         self._search = Search(network)
         self._gap_s = gap_s
-        self.memory = np.zeros(kernels.MEMORY)
-        self.memory[kernels.SYNCED] = kernels.NONE
-        self.memory[kernels.DIRECTION] = 1.0
+        self.remembered = HypothesesMemory()
+        self.memory = self.remembered.numbers
         self._constants = np.array(
             [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
         )
         self._motion = np.zeros(kernels.MOTION)
         self._out = np.zeros(steps.OUT)
-        self._stamp_ns = 0
-        self._looked_ns = 0
-        self._way_m = 0.0  # since tracks were looked for
-        self._headed = False
-        self._guessed = False  # the direction of travel
 
     @property
     def rails(self) -> Rails:
@@ -188,12 +204,12 @@ class Matcher:
             return None
         frame.follow(*estimate.p_l)
         z = self._motion
-        dt = (estimate.stamp_ns - self._stamp_ns) / S if self._stamp_ns else 0.0
+        dt = (estimate.stamp_ns - self.remembered.stamp_ns) / S if self.remembered.stamp_ns else 0.0
         headed = estimate.mode != HEADING_UNKNOWN
         gap = dt > self._gap_s
         z[kernels.STEP] = min(max(dt, 0.0), self._gap_s)
         z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
-        self._stamp_ns = estimate.stamp_ns
+        self.remembered.stamp_ns = estimate.stamp_ns
         steps.advance(
             self.memory,
             self._rails,
@@ -214,28 +230,28 @@ class Matcher:
     def _due(self, estimate: Estimate, headed: bool) -> bool:
         """Whether tracks are to be looked for."""
         z = self._motion
-        if headed != self._headed:
-            self._headed = headed
+        if headed != self.remembered.headed:
+            self.remembered.headed = headed
             return True
         if not headed:
-            return estimate.stamp_ns - self._looked_ns >= AGAIN_S * S
-        if self._guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
-            self._guessed = False
+            return estimate.stamp_ns - self.remembered.looked_ns >= AGAIN_S * S
+        if self.remembered.guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
+            self.remembered.guessed = False
             return bool(z[kernels.SPEED] * self.memory[kernels.DIRECTION] < 0.0)
         if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
             return False
-        self._way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
-        return self._way_m >= AGAIN_M
+        self.remembered.way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
+        return self.remembered.way_m >= AGAIN_M
 
     def _look(self, headed: bool) -> None:
         """Begin anew with all tracks near the estimate."""
         z, memory = self._motion, self.memory
-        self._looked_ns, self._way_m = self._stamp_ns, 0.0
+        self.remembered.looked_ns, self.remembered.way_m = self.remembered.stamp_ns, 0.0
         memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
         memory[kernels.SYNCED] = kernels.NONE
         speed = z[kernels.SPEED]
-        self._guessed = abs(speed) <= MOVES_MPS
-        if not self._guessed:
+        self.remembered.guessed = abs(speed) <= MOVES_MPS
+        if not self.remembered.guessed:
             memory[kernels.DIRECTION] = math.copysign(1.0, speed)
         std = math.sqrt(max(z[kernels.P_EE], z[kernels.P_NN], 0.0))
         radius = min(SEARCH_STDS * std + SEARCH_MORE_M, SEARCH_MOST_M)
@@ -293,20 +309,3 @@ class Matcher:
         if self.memory[kernels.DIRECTION] > 0.0:
             return Candidate(int(run), s, probability)
         return Candidate(int(run) ^ 1, length - s, probability)
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> State:
-        return {
-            "memory": self.memory.copy(),
-            "stamp_ns": self._stamp_ns,
-            "looked_ns": self._looked_ns,
-            "way_m": self._way_m,
-            "headed": self._headed,
-            "guessed": self._guessed,
-        }
-
-    def restore(self, state: State) -> None:
-        self.memory[:] = state["memory"]
-        self._stamp_ns, self._looked_ns = state["stamp_ns"], state["looked_ns"]
-        self._way_m, self._headed = state["way_m"], state["headed"]
-        self._guessed = state["guessed"]

@@ -19,13 +19,20 @@ from tramstream.errors import ConfigError
 from tramstream.events import declared
 from tramstream.events.kinds import Event
 from tramstream.keys import Key
-from tramstream.processor import Processor, Sample, State
+from tramstream.memory.stage import assign
+from tramstream.processor import Processor, Sample
 from tramstream.processors.matching import events as own_events
 from tramstream.processors.matching.events import MAP_FAR, MAP_REFUSED
-from tramstream.processors.matching.matcher import Match, Matcher
+from tramstream.processors.matching.matcher import HypothesesMemory, Match, Matcher
 from tramstream.processors.matching.messages import geometry_of, location_of, message_of
 from tramstream.processors.matching.offline import TRACE_FORGET_S
-from tramstream.processors.matching.source import ReceiverFixes, Source, States
+from tramstream.processors.matching.source import (
+    FixesMemory,
+    ReceiverFixes,
+    Source,
+    States,
+    StatesMemory,
+)
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.tracks import network as networks
@@ -44,10 +51,11 @@ FIX_GAP_S = 5.0
 class MatcherMemory:
     """What the map matcher remembers."""
 
-    matcher: State | None = None
-    """Of `Matcher`; None where there is no network."""
-    source: State = field(default_factory=dict)
-    """Of the `Source`."""
+    matcher: HypothesesMemory | None = None
+    """None where there is no network."""
+    states: StatesMemory = field(default_factory=StatesMemory)
+    fixes: FixesMemory = field(default_factory=FixesMemory)
+    """Of the one or the other it is followed."""
     located_ns: int = 0
     """Stamp of the last place for viewers."""
     told_far: bool = False
@@ -83,7 +91,7 @@ class MapMatcher(Processor):
         key = _source(vehicle.map)
         self.inputs = (key,)
         self._of_fixes = key.type is GnssFix
-        self._source: Source = ReceiverFixes() if self._of_fixes else States()
+        self._source = self._followed()
         try:
             network = networks.load(Path(vehicle.map.network))
         except ConfigError as error:
@@ -91,7 +99,19 @@ class MapMatcher(Processor):
             return
         self._references = references(network)
         self._network = network
-        self._matcher = self._fresh(vehicle.map)
+        self._matcher = self._remembering(vehicle.map)
+
+    def _followed(self) -> Source:
+        """Who is followed, as it is remembered."""
+        return ReceiverFixes(self.memory.fixes) if self._of_fixes else States(self.memory.states)
+
+    def _remembering(self, settings: Map) -> Matcher:
+        """Give a matcher whose memory is part of this processor's, and goes on from it."""
+        matcher, known = self._fresh(settings), self.memory.matcher
+        if known is not None:
+            assign(matcher.remembered, known)
+        self.memory.matcher = matcher.remembered
+        return matcher
 
     def _fresh(self, settings: Map) -> Matcher:
         vehicle = self._vehicle
@@ -157,22 +177,11 @@ class MapMatcher(Processor):
         return self.raise_event(far, stamp_ns)
 
     # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> State:
-        if self._matcher is not None:
-            self.memory.matcher = self._matcher.snapshot()
-            self.memory.source = self._source.snapshot()
-        return super().snapshot()
-
     def restored(self) -> None:
         self._frame = None
-        settings, memory = self._vehicle.map, self.memory
-        if self._matcher is None or settings is None:
-            return
-        self._matcher = self._fresh(settings)
-        self._source = ReceiverFixes() if self._of_fixes else States()
-        if memory.matcher is not None:
-            self._matcher.restore(memory.matcher)
-            self._source.restore(memory.source)
+        settings = self._vehicle.map
+        if self._matcher is not None and settings is not None:
+            self._matcher, self._source = self._remembering(settings), self._followed()
 
 
 def _source(settings: Map) -> Key:

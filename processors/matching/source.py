@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -60,16 +61,54 @@ def _places() -> NDArray[np.int64]:
 _PLACES = _places()
 
 
+@dataclass
+class GroundMemory:
+    """What a `Ground` remembers."""
+
+    level: LocalLevel | None = None
+
+
+@dataclass
+class StatesMemory:
+    """What `States` remember."""
+
+    ground: GroundMemory = field(default_factory=GroundMemory)
+    stamp_ns: int = 0
+    way_m: float = math.inf
+    """Since the filter took something of the track."""
+
+
+@dataclass
+class FixesMemory:
+    """What `ReceiverFixes` remember."""
+
+    ground: GroundMemory = field(default_factory=GroundMemory)
+    yaw: tuple[float, float, int] | None = None
+    """The last course, its variance, and of when it is."""
+
+
 class Ground:
     """The level frame near the vehicle, laid anew as it goes on."""
 
-    def __init__(self) -> None:
-        self.level: LocalLevel | None = None
+    def __init__(self, memory: GroundMemory | None = None) -> None:
+        self.memory = GroundMemory() if memory is None else memory
         self._radii = (0.0, 0.0, 0.0, 0.0)
+        if self.memory.level is not None:
+            self._know(self.memory.level)
+
+    @property
+    def level(self) -> LocalLevel | None:
+        """The frame; None before the first place."""
+        return self.memory.level
 
     def lay(self, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
         """Lay the frame at a place."""
-        self.level = LocalLevel(latitude_rad, longitude_rad, height_m)
+        self.memory.level = level = LocalLevel(latitude_rad, longitude_rad, height_m)
+        self._know(level)
+
+    def _know(self, level: LocalLevel) -> None:
+        """Find the radii of curvature where the frame is laid."""
+        latitude_rad, height_m = level.latitude_rad, level.height_m
         w = math.sqrt(1.0 - geodesy.E2 * math.sin(latitude_rad) ** 2)
         meridian = geodesy.SEMI_MAJOR_M * (1.0 - geodesy.E2) / w**3 + height_m
         across = geodesy.SEMI_MAJOR_M / w + height_m
@@ -79,7 +118,7 @@ class Ground:
         """Give east, north, up of a place, and by how much yaw in the frame is less than there."""
         latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
         for _ in range(2):
-            level = self.level
+            level = self.memory.level
             if level is not None:
                 meridian, across, cos, tan = self._radii
                 up = height_m - level.height_m
@@ -93,25 +132,12 @@ class Ground:
             self.lay(latitude, longitude, height_m)
         return 0.0, 0.0, 0.0, 0.0
 
-    def snapshot(self) -> list[float] | None:
-        """Where the frame is laid."""
-        level = self.level
-        if level is None:
-            return None
-        return [level.latitude_rad, level.longitude_rad, level.height_m]
-
-    def restore(self, laid: list[float] | None) -> None:
-        """Go on from a snapshot."""
-        self.level = None
-        if laid is not None:
-            self.lay(*laid)
-
 
 class Source:
     """Estimates out of messages, one after the other."""
 
-    def __init__(self) -> None:
-        self.ground = Ground()
+    def __init__(self, ground: GroundMemory) -> None:
+        self.ground = Ground(ground)
 
     def take(self, message: Any) -> Estimate | None:
         """Give what a message says of the vehicle; None if it says nothing of use."""
@@ -122,22 +148,13 @@ class Source:
         """Whether who says it is held to the track."""
         return False
 
-    def snapshot(self) -> dict[str, Any]:
-        """Plain data that shares nothing with this."""
-        return {"laid": self.ground.snapshot()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a snapshot."""
-        self.ground.restore(state["laid"])
-
 
 class States(Source):
     """States of a localiser (`MotionState`)."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._stamp_ns = 0
-        self._way_m = math.inf  # since the filter took something of the track
+    def __init__(self, memory: StatesMemory | None = None) -> None:
+        self.memory = StatesMemory() if memory is None else memory
+        super().__init__(self.memory.ground)
 
     def take(self, message: MotionState) -> Estimate | None:
         """Give the state in the frame near the vehicle; None if it is no number."""
@@ -162,33 +179,26 @@ class States(Source):
 
     def _notice(self, message: MotionState, speed_mps: float) -> None:
         """Take note whether the filter takes what it is told of the track."""
-        stamp_ns = message.stamp_ns
-        if not message.standing and self._stamp_ns:
-            self._way_m += abs(speed_mps) * min(max((stamp_ns - self._stamp_ns) / S, 0.0), 1.0)
-        self._stamp_ns = stamp_ns
+        memory, stamp_ns = self.memory, message.stamp_ns
+        if not message.standing and memory.stamp_ns:
+            memory.way_m += abs(speed_mps) * min(max((stamp_ns - memory.stamp_ns) / S, 0.0), 1.0)
+        memory.stamp_ns = stamp_ns
         for each in message.innovations:
             if each.measurement == TAKEN and each.accepted:
-                self._way_m = 0.0
+                memory.way_m = 0.0
                 break
 
     @property
     def held(self) -> bool:
-        return self._way_m < HELD_M
-
-    def snapshot(self) -> dict[str, Any]:
-        return {**super().snapshot(), "stamp_ns": self._stamp_ns, "way_m": self._way_m}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        super().restore(state)
-        self._stamp_ns, self._way_m = state["stamp_ns"], state["way_m"]
+        return self.memory.way_m < HELD_M
 
 
 class ReceiverFixes(Source):
     """Fixes of a receiver (`GnssFix`): speed and heading are those over ground."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._yaw: tuple[float, float, int] | None = None  # with its variance, and since when
+    def __init__(self, memory: FixesMemory | None = None) -> None:
+        self.memory = FixesMemory() if memory is None else memory
+        super().__init__(self.memory.ground)
 
     def take(self, message: GnssFix) -> Estimate | None:
         """Give the fix as an estimate; None if it is not valid."""
@@ -202,28 +212,17 @@ class ReceiverFixes(Source):
             if speed > FIX_MOVES_MPS:
                 std = max(message.speed_std_mps / speed, FIX_COURSE_STD_RAD)
                 yaw = math.atan2(message.vel_n_mps, message.vel_e_mps)
-                self._yaw = yaw, std * std, message.stamp_ns
+                self.memory.yaw = yaw, std * std, message.stamp_ns
         level_std, up_std = deviations(message, LEAST_STD_M)
-        known = self._yaw
+        known = self.memory.yaw
         if known is not None and not 0 <= message.stamp_ns - known[2] <= KEPT_S * S:
-            known = self._yaw = None
+            known = self.memory.yaw = None
         yaw, variance, _ = known if known is not None else (0.0, math.pi**2 / 3.0, 0)
         covariance = np.diag([level_std**2] * 2 + [up_std**2, 1.0, 1.0, 1.0, variance])
         motion = (east, north, up, speed, 0.0, 0.0, yaw + lean)
         mode = HEADING_UNKNOWN if known is None else TRACKING
         values = values_of(motion, covariance, 0.0, 0.0)
         return Estimate(message.stamp_ns, mode, values, speed < FIX_STANDS_MPS)
-
-    def snapshot(self) -> dict[str, Any]:
-        yaw = self._yaw
-        return {**super().snapshot(), "yaw": None if yaw is None else list(yaw)}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        super().restore(state)
-        self._yaw = None
-        if state["yaw"] is not None:
-            yaw, variance, stamp_ns = state["yaw"]
-            self._yaw = float(yaw), float(variance), int(stamp_ns)
 
 
 def _covariance(state: MotionState) -> Array:

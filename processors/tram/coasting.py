@@ -10,7 +10,7 @@ Equations: docs/theory.md, section 7.7.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,13 +28,20 @@ PAIR_YAW_STD_RAD_RTS = 0.2
 """How the heading may turn unseen for some seconds, where two wheels tell by how much."""
 
 
+@dataclass
+class NoiseMemory:
+    """What `MotionNoise` remembers."""
+
+    drive: Drive = Drive.INERTIAL
+
+
 class MotionNoise:
     """Noise of speed and attitude, by what drives them; told to the filter when that changes.
 
     Which drive it is, decides `modes.py`.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: NoiseMemory | None = None) -> None:
         s, tilt = situation(vehicle)[0], vehicle.ekf.tilt_std_rad_rts
         self._inertial = np.array([s["accel_density"], *s["rate_density"]])
         self._bridged = np.array([SPEED_STD_MPS_RTS, tilt, tilt, YAW_STD_RAD_RTS]) ** 2
@@ -46,11 +53,11 @@ class MotionNoise:
         imu = vehicle.imu
         self._white = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._aliasing_s = imu.gyro_aliasing**2 * READING_S if imu is not None else 0.0
-        self.drive = Drive.INERTIAL
+        self.memory = NoiseMemory() if memory is None else memory
 
     def inertial(self, ekf: TramFilter, shaking_variance: Array) -> None:
         """Go on with a reading; `shaking_variance` is what its neighbours differ by, (rad/s)²."""
-        if self.drive is not Drive.INERTIAL:
+        if self.memory.drive is not Drive.INERTIAL:
             self._tell(ekf, Drive.INERTIAL, self._inertial)
         if self._aliasing_s:
             # Shaking that the readings do not resolve is white noise to the angles, axis by axis.
@@ -74,12 +81,5 @@ class MotionNoise:
         self._tell(ekf, Drive.YAW_RATE, densities)
 
     def _tell(self, ekf: TramFilter, drive: Drive, densities: Array) -> None:
-        self.drive = drive
+        self.memory.drive = drive
         ekf.set_motion_noise(float(densities[0]), densities[1:])
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        return {"drive": self.drive.name}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.drive = Drive[state["drive"]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from tramstream.estimation.localiser import (
     Estimate,
     Learned,
     Verdict,
-    values_of,
 )
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.states import UNITS, Ix
@@ -110,27 +108,3 @@ def learned(state: Sequence[float], variances: Sequence[float]) -> list[Learned]
         Learned(slot.name.lower(), state[slot], math.sqrt(max(variances[slot], 0.0)), unit)
         for slot, unit in UNITS.items()
     ]
-
-
-def plain(estimate: Estimate) -> dict[str, Any]:
-    """Fields of an estimate as plain data, without the verdicts that led to it."""
-    return {
-        "stamp_ns": estimate.stamp_ns,
-        "mode": int(estimate.mode),
-        "motion": estimate.motion.copy(),
-        "covariance": estimate.covariance.copy(),
-        "acceleration_mps2": estimate.acceleration_mps2,
-        "yaw_rate_radps": estimate.yaw_rate_radps,
-        "standing": estimate.standing,
-    }
-
-
-def from_plain(fields: dict[str, Any]) -> Estimate:
-    """Give the estimate that `plain` took apart."""
-    values = values_of(
-        fields["motion"],
-        fields["covariance"],
-        fields["acceleration_mps2"],
-        fields["yaw_rate_radps"],
-    )
-    return Estimate(fields["stamp_ns"], fields["mode"], values, fields["standing"])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,7 +20,7 @@ from tramstream.clock import S as NS_PER_S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Estimate, Verdict
-from tramstream.estimation.records import frozen, numbers, one
+from tramstream.estimation.records import Records, frozen, numbers, one
 from tramstream.processors.tram.estimate import estimate_of
 from tramstream.processors.tram_model import motion, prediction_to_now, wheel_path
 from tramstream.processors.tram_model.measurement import (
@@ -30,7 +31,7 @@ from tramstream.processors.tram_model.measurement import (
     SCALAR_GATE,
     Measurement,
 )
-from tramstream.processors.tram_model.records import MEMORY, SITUATION, parameters, situation
+from tramstream.processors.tram_model.records import MEMORY, parameters, situation
 from tramstream.processors.tram_model.states import COLUMNS, ROWS, SIZE, Ix
 from tramstream.processors.tram_model.zero_velocity import STANDING_STD_MPS, ZeroVelocity
 
@@ -54,6 +55,22 @@ class Watcher(Protocol):
 
     def made_anew(self, state: int) -> None:
         """Learn that a state has become independent of all that was before."""
+
+
+@dataclass
+class FilterMemory:
+    """What the next step needs of a `TramFilter`: views of its records; parameters are settings."""
+
+    x: Array
+    P: Array
+    acceleration: Array
+    """Shape (1,); m/s²."""
+    yaw_rate: Array
+    """Shape (1,); rad/s."""
+    situation: Records
+    """See `records.Situation`."""
+    stamp_ns: int = 0
+    """Time of the state, vehicle clock."""
 
 
 class TramFilter:
@@ -86,12 +103,17 @@ class TramFilter:
         self.variances = self._P.diagonal().data
         """Diagonal of P, likewise."""
         self._y, self._S = self.fields["y"][0].data, self.fields["S"][0].data
-        self.stamp_ns = 0
-        """Time of the state, vehicle clock."""
+        motion_of = self.fields["acceleration"], self.fields["yaw_rate"]
+        self.remembered = FilterMemory(self._x, self._P, *motion_of, self.situation)
         self.log_likelihood_sum: float | None = None
         """Of all measurements since it was last set, without what all hypotheses share; None while
         no hypotheses are compared."""
         self.watcher: Watcher | None = None
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the state, vehicle clock."""
+        return self.remembered.stamp_ns
 
     # What a filterpy user reads ------------------------------------------------------------------
     @property
@@ -186,7 +208,7 @@ class TramFilter:
 
     def go_to(self, stamp_ns: int, u: Array, standing: bool) -> None:
         """Go to an instant, which lies in no past, with the numbers of one inertial `Reading`."""
-        dt = (stamp_ns - self.stamp_ns) / NS_PER_S
+        dt = (stamp_ns - self.remembered.stamp_ns) / NS_PER_S
         if dt < LEAST_STEP_S:
             return
         if standing:
@@ -196,7 +218,7 @@ class TramFilter:
                 self.predict(u, LONGEST_STEP_S)
                 dt -= LONGEST_STEP_S
             self.predict(u, dt)
-        self.stamp_ns = stamp_ns
+        self.remembered.stamp_ns = stamp_ns
 
     def estimate_ahead(
         self, ahead: Array, kept: Array, begin: int, end: int, mean: Array, values: Array
@@ -281,7 +303,7 @@ class TramFilter:
 
     def set_time(self, stamp_ns: int) -> None:
         """Let the state be that of another instant, without anything having passed."""
-        self.stamp_ns = stamp_ns
+        self.remembered.stamp_ns = stamp_ns
 
     def set_states(self, first: Ix, values: Sequence[float]) -> None:
         """Give neighbouring states new values; their uncertainty stays."""
@@ -344,25 +366,3 @@ class TramFilter:
     def set_wheel_sign(self, wheel: int, sign: float) -> None:
         """Set which way a wheel counts."""
         self.situation["wheel_sign"][0, wheel] = sign
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        """Give what the next step needs; parameters are the configuration's."""
-        f = self.fields[0]
-        return {
-            "x": self._x.copy(),
-            "P": self._P.copy(),
-            "acceleration": float(f["acceleration"]),
-            "yaw_rate": float(f["yaw_rate"]),
-            "situation": {name: self.situation[name][0].tolist() for name in SITUATION.names or ()},
-            "stamp_ns": self.stamp_ns,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a snapshot."""
-        self._x[:], self._P[:] = state["x"], state["P"]
-        self.fields["acceleration"] = state["acceleration"]
-        self.fields["yaw_rate"] = state["yaw_rate"]
-        for name, value in state["situation"].items():
-            self.situation[name] = value
-        self.stamp_ns = state["stamp_ns"]

@@ -12,7 +12,7 @@ Equations: docs/theory.md, sections 6.3 and 7.6.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
@@ -112,6 +112,25 @@ def doubts(fix: GnssFix, level: LocalLevel) -> list[Event]:
     return found
 
 
+@dataclass
+class FixesMemory:
+    """What `Fixes` remember."""
+
+    std_m: float = 0.0
+    """Of the present regime; 0 before the first fix."""
+    refused_ns: int = 0
+    """Since when; 0 if the last was taken."""
+    absurd_ns: int = 0
+    absurd_m: float = 0.0
+    begun_ns: int = 0
+    """First fix."""
+    last_ns: int = 0
+    accepted_ns: int = 0
+    """Stamp of the last fix that was accepted."""
+    taken_ns: list[int] = field(default_factory=list)
+    """When the position was taken from the fixes."""
+
+
 def _refused(ekf: TramFilter, doubt: float) -> tuple[float, float]:
     """How far off what the filter has just refused was, and how far it may be that way."""
     (a, b), ((first, cross), (_, second)) = ekf.y[:, 0].tolist(), ekf.S.tolist()
@@ -125,38 +144,32 @@ def _refused(ekf: TramFilter, doubt: float) -> tuple[float, float]:
 class Fixes:
     """Feeds fixes to the filter."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: FixesMemory | None = None) -> None:
         gnss = vehicle.gnss
         self.floor_m = gnss.error_floor_m if gnss else 0.005
         self.tau_s = gnss.error_tau_s if gnss else 20.0
-        self._std_m = 0.0  # of the present regime; 0 before the first fix
-        self._refused_ns = 0  # since when; 0 if the last was taken
-        self._absurd_ns = 0
-        self._absurd_m = 0.0
-        self._begun_ns = 0  # first fix
-        self._last_ns = 0
-        self.accepted_ns = 0
-        """Stamp of the last fix that was accepted."""
-        self._taken_ns: list[int] = []  # when the position was taken from the fixes
+        self.memory = FixesMemory() if memory is None else memory
 
     @property
     def diverged(self) -> Event | None:
         """That the position has been taken from the fixes again and again, if it has."""
-        if len(self._taken_ns) < DIVERGED_COUNT:
+        if len(self.memory.taken_ns) < DIVERGED_COUNT:
             return None
         return NO_HOPE(times=DIVERGED_COUNT, within_s=DIVERGED_S)
 
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
+        memory = self.memory
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-        self._std_m, self._refused_ns, self._absurd_ns, self._absurd_m = 0.0, 0, 0, 0.0
+        memory.std_m, memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0.0, 0, 0, 0.0
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
     ) -> tuple[list[Verdict], list[Event]]:
         """Apply a usable fix; the filter is at its stamp. Gives the verdicts, and what happened."""
+        memory = self.memory
         std, std_up = deviations(fix, self.floor_m)
-        self._begun_ns = self._begun_ns or fix.stamp_ns
+        memory.begun_ns = memory.begun_ns or fix.stamp_ns
         self._set_noise(ekf, std, std_up)
         z = antenna_l(fix, level)
         white = max(WHITE_SHARE * std, WHITE_FLOOR_M)
@@ -174,7 +187,7 @@ class Fixes:
         if refused:
             found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
         else:
-            self._refused_ns = 0
+            memory.refused_ns = 0
         measured = None if standing else velocity_l(fix, level)
         if measured is not None:
             std_mps = _velocity_std(fix)
@@ -186,17 +199,18 @@ class Fixes:
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
                 found.append(VELOCITY_REFUSED(key=_KEY, **facts))
         found += self._detect_divergence(fix.stamp_ns, ekf, std, standing)
-        if not refused and self._absurd_ns == 0:
-            self.accepted_ns = fix.stamp_ns
-        self._last_ns = fix.stamp_ns
+        if not refused and memory.absurd_ns == 0:
+            memory.accepted_ns = fix.stamp_ns
+        memory.last_ns = fix.stamp_ns
         return verdicts, found
 
     def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
-        if self._std_m == 0.0 or not 1 / NEW_REGIME < std / self._std_m < NEW_REGIME:
-            if self._std_m != 0.0:
+        memory = self.memory
+        if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
+            if memory.std_m != 0.0:
                 ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
             ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (std, std, std_up))
-            self._std_m = std
+            memory.std_m = std
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         heavy = max(1.0, (east * east + north * north) / (HEAVY_SIGMA * std) ** 2)
         heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
@@ -208,11 +222,12 @@ class Fixes:
     def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
     ) -> list[Event]:
-        self._refused_ns = self._refused_ns or stamp_ns
-        if stamp_ns - self._refused_ns < ABSORB_S * S:
+        memory = self.memory
+        memory.refused_ns = memory.refused_ns or stamp_ns
+        if stamp_ns - memory.refused_ns < ABSORB_S * S:
             return []
-        young = self._refused_ns - self._begun_ns < ABSORB_S * S
-        refused_s, self._refused_ns = (stamp_ns - self._refused_ns) / S, 0
+        young = memory.refused_ns - memory.begun_ns < ABSORB_S * S
+        refused_s, memory.refused_ns = (stamp_ns - memory.refused_ns) / S, 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
         if young:
             error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
@@ -241,35 +256,28 @@ class Fixes:
         self, stamp_ns: int, ekf: TramFilter, std: float, standing: bool
     ) -> list[Event]:
         """Take the position where the fixes are when their error has been absurd for long."""
+        memory = self.memory
         east, north = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
         error = math.hypot(east, north)
         if error < ABSURD_SIGMA * std:
-            self._absurd_ns, self._absurd_m = 0, 0.0
+            memory.absurd_ns, memory.absurd_m = 0, 0.0
             return []
         if standing and error < HUGE_M:
             return []
-        if self._absurd_ns == 0:
-            self._absurd_ns = stamp_ns
-        dt_s = min((stamp_ns - self._last_ns) / S, 2.0)
-        self._absurd_m += 0.0 if standing else abs(ekf.state[Ix.SPEED]) * dt_s
-        lasted_s = (stamp_ns - self._absurd_ns) / S
-        for_long = lasted_s > ABSURD_S and self._absurd_m > ABSURD_M
+        if memory.absurd_ns == 0:
+            memory.absurd_ns = stamp_ns
+        dt_s = min((stamp_ns - memory.last_ns) / S, 2.0)
+        memory.absurd_m += 0.0 if standing else abs(ekf.state[Ix.SPEED]) * dt_s
+        lasted_s = (stamp_ns - memory.absurd_ns) / S
+        for_long = lasted_s > ABSURD_S and memory.absurd_m > ABSURD_M
         if not for_long and not (lasted_s > HUGE_S and error > HUGE_M):
             return []
-        self._absurd_ns, self._absurd_m = 0, 0.0
-        recent = [each for each in self._taken_ns if stamp_ns - each < DIVERGED_S * S]
-        self._taken_ns = [*recent, stamp_ns]
+        memory.absurd_ns, memory.absurd_m = 0, 0.0
+        recent = [each for each in memory.taken_ns if stamp_ns - each < DIVERGED_S * S]
+        memory.taken_ns = [*recent, stamp_ns]
         self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)
         return [POSITION_TAKEN(key=_KEY, away_m=error, lasted_s=lasted_s)]
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        return vars(self) | {"_taken_ns": list(self._taken_ns)}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            setattr(self, name, list(value) if name == "_taken_ns" else value)
 
 
 def _velocity_std(fix: GnssFix) -> float:

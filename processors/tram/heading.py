@@ -14,15 +14,16 @@ Equations: docs/theory.md, section 7.4.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, field
 
 from tramstream.clock import S
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
-from tramstream.processors.tram.alignment import Alignment
+from tramstream.memory.stage import assign, copied
+from tramstream.processors.tram.alignment import Alignment, AlignmentMemory
 from tramstream.processors.tram.events import REFUSALS
-from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.processors.tram_model.records import Z
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -44,6 +45,46 @@ UNSURE_WAY_M = 300.0
 """After so long a way the likelier direction is taken, however little."""
 
 
+@dataclass
+class Tried:
+    """One direction of travel, as far as it has been gone."""
+
+    sign: float
+    likelihood: float
+    navigation: NavigationMemory
+
+    @classmethod
+    def of(cls, sign: float, navigation: Navigation) -> Tried:
+        """Keep where `navigation` is."""
+        likelihood = navigation.ekf.log_likelihood_sum
+        if likelihood is None or not math.isfinite(likelihood):
+            likelihood = -math.inf
+        return cls(sign, likelihood, navigation.kept())
+
+    def go_on(self, navigation: Navigation) -> None:
+        """Let `navigation` go on from here."""
+        navigation.go_back(self.navigation)
+        navigation.ekf.log_likelihood_sum = self.likelihood
+
+
+@dataclass
+class SearchMemory:
+    """What a `Search` remembers."""
+
+    anchor: NavigationMemory
+    """As it was at the departure."""
+    departed_ns: int
+    rested: bool
+    last_ns: int
+    turned: float = 0.0
+    found: bool = False
+    failed: bool = False
+    kept: list[SyncFrame] = field(default_factory=list)
+    alignment: AlignmentMemory = field(default_factory=AlignmentMemory)
+    tried: list[Tried] = field(default_factory=list)
+    """Either direction; the likelier first."""
+
+
 class Search:
     """One departure.
 
@@ -55,24 +96,23 @@ class Search:
         The last one before.
     """
 
-    def __init__(self, navigation: Navigation, fix: GnssFix | None) -> None:
-        self.found = self.failed = False
-        self._anchor = navigation.snapshot()
-        self._departed_ns = navigation.ekf.stamp_ns
-        self._rested = navigation.stood
-        self._kept: list[SyncFrame] = []
-        self._last_ns = navigation.ekf.stamp_ns
-        self._turned = 0.0
-        self._alignment = Alignment(navigation.fixes.tau_s)
-        self._tried: list[dict[str, Any]] = []
-        """Either direction: `sign`, `likelihood`, `navigation`; the likelier first."""
+    def __init__(
+        self, navigation: Navigation, fix: GnssFix | None, memory: SearchMemory | None = None
+    ) -> None:
+        departed_ns = navigation.ekf.stamp_ns
+        self.memory = memory or SearchMemory(
+            navigation.kept(), departed_ns, navigation.memory.stood, departed_ns
+        )
+        self._alignment = Alignment(navigation.fixes.tau_s, self.memory.alignment)
+        if memory is not None:
+            return
         if fix is not None and navigation.ekf.stamp_ns - fix.stamp_ns < YOUNG_S * S:
             self._add_fix(navigation, fix, 0.0)
 
     @property
     def trying(self) -> bool:
         """Whether the navigation moves with the vehicle, though its heading may be opposite."""
-        return bool(self._tried)
+        return bool(self.memory.tried)
 
     def step(
         self,
@@ -91,26 +131,27 @@ class Search:
         speed_mps : float
             Over ground, as GNSS last measured it.
         """
+        memory = self.memory
         self._integrate_turn(navigation, frame)
-        if self._tried:
+        if memory.tried:
             return self._continue_directions(navigation, frame, standing, noise)
-        self._kept.append(frame)
+        memory.kept.append(frame)
         for reading in frame.odometry:
             if not navigation.wheels.known:
                 navigation.wheels.assign(reading, navigation.ekf)
             navigation.wheels.note_counters(reading)
-        if standing or frame.stamp_ns - self._departed_ns > KEEP_S * S:
-            self.failed = True
+        if standing or frame.stamp_ns - memory.departed_ns > KEEP_S * S:
+            memory.failed = True
         elif self._alignment.ready:
             return self._try_directions(navigation, noise, speed_mps)
         return []
 
     def abandon(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
-        wheels, stamp_ns = navigation.wheels.snapshot(), self._last_ns
+        wheels, stamp_ns = copied(navigation.wheels.memory), self.memory.last_ns
         offsets_m = navigation.ekf.wheel_offsets_m()
-        navigation.restore(self._anchor)
-        navigation.wheels.restore(wheels)
+        navigation.go_back(self.memory.anchor)
+        assign(navigation.wheels.memory, wheels)
         for wheel, offset_m in enumerate(offsets_m):  # they may have been assigned since
             navigation.ekf.set_wheel(wheel, offset_m)
         navigation.ekf.set_time(stamp_ns)
@@ -118,99 +159,64 @@ class Search:
 
     # Displacements -------------------------------------------------------------------------------
     def _integrate_turn(self, navigation: Navigation, frame: SyncFrame) -> None:
-        dt_s = (frame.stamp_ns - self._last_ns) / S
+        memory = self.memory
+        dt_s = (frame.stamp_ns - memory.last_ns) / S
         rate = float(navigation.inertial["between"]["angular_rate"][0, Z])
-        self._turned += (rate - navigation.ekf.state[Ix.GYRO_Z]) * dt_s
-        self._last_ns = frame.stamp_ns
+        memory.turned += (rate - navigation.ekf.state[Ix.GYRO_Z]) * dt_s
+        memory.last_ns = frame.stamp_ns
         for fix in frame.gnss:
-            self._add_fix(navigation, fix, (fix.stamp_ns - self._departed_ns) / S)
+            self._add_fix(navigation, fix, (fix.stamp_ns - memory.departed_ns) / S)
 
     def _add_fix(self, navigation: Navigation, fix: GnssFix, time_s: float) -> None:
         if fix.valid and not unusable(fix, navigation.level):
             east, north, _ = antenna_l(fix, navigation.level)
             std = navigation.accuracy_m(fix)
-            self._alignment.take(time_s, east, north, self._turned, std)
+            self._alignment.take(time_s, east, north, self.memory.turned, std)
 
     # Directions ----------------------------------------------------------------------------------
     def _try_directions(
         self, navigation: Navigation, noise: Array | None, speed_mps: float
     ) -> list[Verdict]:
-        counted = navigation.wheels.counted(self._kept)
+        memory = self.memory
+        counted = navigation.wheels.counted(memory.kept)
         direction = navigation.wheels.direction(counted)
         verdicts: dict[float, list[Verdict]] = {}
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
-            navigation.restore(self._anchor)
+            navigation.go_back(memory.anchor)
             ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad
             navigation.set_heading(yaw_rad if sign > 0.0 else yaw_rad + math.pi, HEADING_PRIOR_RAD)
             navigation.wheels.count_as_running(sign, counted, ekf)
-            if not self._rested:
+            if not memory.rested:
                 ekf.reset(Ix.SPEED, sign * speed_mps, SPEED_PRIOR_MPS)
             ekf.log_likelihood_sum = FORWARDS if sign > 0.0 else 0.0
-            for frame in self._kept:
+            for frame in memory.kept:
                 inertial = navigation.read(frame)
                 verdicts[sign] = navigation.run(frame, False, noise if inertial else None)
-            self._tried.append(_state(sign, navigation))
-        self._kept = []
+            memory.tried.append(Tried.of(sign, navigation))
+        memory.kept = []
         return verdicts[self._decide(navigation)]
 
     def _continue_directions(
         self, navigation: Navigation, frame: SyncFrame, standing: bool, noise: Array | None
     ) -> list[Verdict]:
         verdicts: dict[float, list[Verdict]] = {}
-        for number, tried in enumerate(self._tried):
-            _load(navigation, tried)
+        for number, tried in enumerate(self.memory.tried):
+            tried.go_on(navigation)
             inertial = navigation.read(frame)
-            verdicts[tried["sign"]] = navigation.run(frame, standing, noise if inertial else None)
-            self._tried[number] = _state(tried["sign"], navigation)
+            verdicts[tried.sign] = navigation.run(frame, standing, noise if inertial else None)
+            self.memory.tried[number] = Tried.of(tried.sign, navigation)
         return verdicts[self._decide(navigation)]
 
     def _decide(self, navigation: Navigation) -> float:
         """Leave `navigation` with the likelier direction, which it returns."""
-        self._tried.sort(key=lambda each: -float(each["likelihood"]))
-        first, last = self._tried[0], self._tried[-1]
-        _load(navigation, first)
+        memory = self.memory
+        memory.tried.sort(key=lambda each: -each.likelihood)
+        first, last = memory.tried[0], memory.tried[-1]
+        first.go_on(navigation)
         told = [each for each in navigation.complaints if each.kind not in REFUSALS]
         navigation.complaints[:] = told
-        sure = len(self._tried) == 1 or not first["likelihood"] - last["likelihood"] < SURE
-        self.found = sure or self._alignment.way_m > UNSURE_WAY_M
-        if self.found:
+        sure = len(memory.tried) == 1 or not first.likelihood - last.likelihood < SURE
+        memory.found = sure or self._alignment.way_m > UNSURE_WAY_M
+        if memory.found:
             navigation.ekf.log_likelihood_sum = None
-        return float(first["sign"])
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "found": self.found,
-            "failed": self.failed,
-            "anchor": self._anchor,
-            "departed_ns": self._departed_ns,
-            "rested": self._rested,
-            "kept": [frame.SerializeToString() for frame in self._kept],
-            "last_ns": self._last_ns,
-            "turned": self._turned,
-            "alignment": self._alignment.snapshot(),
-            "tried": list(self._tried),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.found, self.failed = state["found"], state["failed"]
-        self._anchor, self._tried = state["anchor"], list(state["tried"])
-        self._departed_ns, self._rested = state["departed_ns"], state["rested"]
-        self._kept = [SyncFrame.FromString(data) for data in state["kept"]]
-        self._last_ns, self._turned = state["last_ns"], state["turned"]
-        self._alignment.restore(state["alignment"])
-
-
-def _state(sign: float, navigation: Navigation) -> dict[str, Any]:
-    likelihood = navigation.ekf.log_likelihood_sum
-    known = likelihood is not None and math.isfinite(likelihood)
-    return {
-        "sign": sign,
-        "likelihood": likelihood if known else -math.inf,
-        "navigation": navigation.snapshot(),
-    }
-
-
-def _load(navigation: Navigation, tried: dict[str, Any]) -> None:
-    navigation.restore(tried["navigation"])
-    navigation.ekf.log_likelihood_sum = tried["likelihood"]
+        return first.sign

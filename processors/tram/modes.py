@@ -21,7 +21,6 @@ from types import MappingProxyType
 
 from tramstream.clock import S
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, STARTING, TRACKING
-from tramstream.processor import State
 
 DEAD_RECKONING_S = 5.0
 """Without an accepted fix for so long it is dead reckoning; chosen by hand, no study."""
@@ -82,17 +81,6 @@ def published_mode(phase: Phase, since_accepted_s: float) -> int:
     if phase is not Phase.RUNNING:
         return HEADING_UNKNOWN
     return DEAD_RECKONING if since_accepted_s > DEAD_RECKONING_S else TRACKING
-
-
-def phase_of(state: State) -> Phase:
-    """The phase of a localiser's snapshot; older versions told it by what they had."""
-    if "phase" in state:
-        return Phase[state["phase"]]
-    if state["aligned"]:
-        return Phase.RUNNING
-    if state["search"] is not None:
-        return Phase.SEEKING
-    return Phase.WAITING if state["level"] is None else Phase.RESTING
 
 
 class Drive(Enum):

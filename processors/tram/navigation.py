@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, Protocol
 
@@ -20,14 +21,15 @@ from tramstream.estimation.localiser import (
     Verdict,
 )
 from tramstream.estimation.records import numbers, one
-from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail
+from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailMemory
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
-from tramstream.processors.tram.coasting import MotionNoise
+from tramstream.memory.stage import assign, copied
+from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
 from tramstream.processors.tram.estimate import learned
 from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
-from tramstream.processors.tram.filter import GYRO_Z, TramFilter
-from tramstream.processors.tram.gnss import Fixes
+from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
+from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import (
     HELD_S,
     Drive,
@@ -37,7 +39,7 @@ from tramstream.processors.tram.modes import (
     published_mode,
 )
 from tramstream.processors.tram.start import first_deviations
-from tramstream.processors.tram.wheels import WheelPair
+from tramstream.processors.tram.wheels import PairMemory, WheelPair
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
@@ -85,6 +87,27 @@ class Watcher(Protocol):
         """Learn that there is another navigation from here on."""
 
 
+@dataclass
+class NavigationMemory:
+    """What a `Navigation` remembers."""
+
+    filter: FilterMemory
+    inertial: Array
+    """Numbers of `records.Inertial`."""
+    wheels: PairMemory = field(default_factory=PairMemory)
+    fixes: FixesMemory = field(default_factory=FixesMemory)
+    noise: NoiseMemory = field(default_factory=NoiseMemory)
+    read_ns: int = 0
+    rate_ns: int = 0
+    stood: bool = False
+    """Whether the vehicle stood in the last frame."""
+    trail: TrailMemory = field(default_factory=TrailMemory)
+    given: list[Verdict] = field(default_factory=list)
+    """Verdicts on what was taken since the last frame."""
+    watched: int = 0
+    """By which number a watcher finds the place again, where there is one."""
+
+
 class Navigation:
     """Filter, wheels and fixes of a vehicle whose place is known."""
 
@@ -93,8 +116,6 @@ class Navigation:
         self._watcher = watcher
         gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         self.ekf = TramFilter(vehicle, gravity)
-        self.wheels = WheelPair(vehicle)
-        self.fixes = Fixes(vehicle)
         self.inertial = one(INERTIAL)
         """The inertial readings, see `records.Inertial`."""
         self.reading: Array = numbers(self.inertial["now"])
@@ -102,25 +123,23 @@ class Navigation:
         self.between: Array = numbers(self.inertial["between"])
         """What acts between the last two, as plain numbers."""
         self._inertial: Array = numbers(self.inertial)
+        self.memory = memory = NavigationMemory(self.ekf.remembered, self._inertial)
+        self.wheels = WheelPair(vehicle, memory.wheels)
+        self.fixes = Fixes(vehicle, memory.fixes)
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
         self.complaints: list[Event] = []
-        self.given: list[Verdict] = []
-        """Verdicts on what was taken since the last frame."""
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._read_ns = 0
-        self._noise = MotionNoise(vehicle)
+        self._noise = MotionNoise(vehicle, memory.noise)
         self._has_imu = imu is not None
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
-        self._rate_ns = 0
-        self._trail = Trail(vehicle.ekf.track_delay_s) if takes_track(vehicle) else None
-        self.stood = False
-        """Whether the vehicle stood in the last frame."""
+        span_s = vehicle.ekf.track_delay_s
+        self._trail = Trail(span_s, memory.trail) if takes_track(vehicle) else None
         self._begin(vehicle)
 
     def _begin(self, vehicle: Vehicle) -> None:
@@ -136,7 +155,7 @@ class Navigation:
             return True
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
         turns = bool(rates) and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS
-        ages_ns = frame.stamp_ns - self._read_ns, frame.stamp_ns - self._rate_ns
+        ages_ns = frame.stamp_ns - self.memory.read_ns, frame.stamp_ns - self.memory.rate_ns
         drive = drive_without_reading(*ages_ns, turns)
         if drive is Drive.YAW_RATE:
             self._read_rate(rates[-1])
@@ -147,8 +166,9 @@ class Navigation:
         return False
 
     def _read_imu(self, mean: ImuMean) -> bool:
+        memory = self.memory
         stamp_ns = mean.stamp_ns
-        dt = (stamp_ns - self._read_ns) / S if self._read_ns else 0.0
+        dt = (stamp_ns - memory.read_ns) / S if memory.read_ns else 0.0
         drive = Drive.INERTIAL
         if dt > HELD_S:
             drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
@@ -156,7 +176,7 @@ class Navigation:
         if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
             self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
             return False
-        self._read_ns = stamp_ns
+        memory.read_ns = stamp_ns
         if drive is Drive.INERTIAL:
             self._noise.inertial(self.ekf, self._shaking)
         elif drive is Drive.BRIDGED:
@@ -175,15 +195,16 @@ class Navigation:
     def _read_rate(self, reading: Odometry) -> None:
         """Let the bus' own yaw rate stand for a gyroscope."""
         # The bias that the filter knows is not that of this sensor, where there is an IMU.
+        memory = self.memory
         bias = self.ekf.state[GYRO_Z] if self._has_imu else 0.0
         for held in ("now", "between"):
             self._hold(held)
             self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
         interval_s = None
-        if self._rate_ns:
-            interval_s = min(max((reading.stamp_ns - self._rate_ns) / S, 0.01), 1.0)
+        if memory.rate_ns:
+            interval_s = min(max((reading.stamp_ns - memory.rate_ns) / S, 0.01), 1.0)
         self._noise.yaw_rate(self.ekf, interval_s)
-        self._rate_ns = reading.stamp_ns
+        memory.rate_ns = reading.stamp_ns
 
     # One frame -----------------------------------------------------------------------------------
     def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:
@@ -196,11 +217,12 @@ class Navigation:
         noise : ndarray, shape (6,), or None
             Variance that rates and specific forces scatter by, if they are there.
         """
-        ekf = self.ekf
-        if self.stood and not standing:
+        memory, ekf = self.memory, self.ekf
+        now = memory.filter
+        if memory.stood and not standing:
             ekf.widen(Ix.SPEED, LEAVING_STD_MPS if self.wheels.known else BLIND_LEAVING_STD_MPS)
-        self.stood = standing
-        verdicts, self.given = self.given, []
+        memory.stood = standing
+        verdicts, memory.given = memory.given, []
         frame_ns, gnss, odometry = frame.stamp_ns, frame.gnss, frame.odometry
         go_to = ekf.go_to if self._trail is None else self._go_on
         if gnss or odometry:
@@ -209,15 +231,15 @@ class Navigation:
                 measurements.sort(key=_stamp)
             for measurement in measurements:
                 stamp_ns = measurement.stamp_ns
-                if not ekf.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
+                if not now.stamp_ns - ASTRAY_NS < stamp_ns < frame_ns + ASTRAY_NS:
                     self.complaints.append(_astray(measurement, frame_ns))
                     continue
                 if stamp_ns < frame_ns:
                     go_to(stamp_ns, self.between, standing)
-                elif ekf.stamp_ns < frame_ns:
+                elif now.stamp_ns < frame_ns:
                     go_to(frame_ns, self.between, standing)
                 verdicts += self._measure(measurement, standing)
-        if ekf.stamp_ns < frame_ns:
+        if now.stamp_ns < frame_ns:
             go_to(frame_ns, self.between, standing)
         if self._trail is not None:
             self._trail.pass_by(frame_ns)
@@ -300,14 +322,15 @@ class Navigation:
 
     def on_track(self, on_track: OnTrack, gate: float = SCALAR_GATE) -> None:
         """Take that the vehicle is on a track, of which the state as it is is off."""
+        memory = self.memory
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        self.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
-        self.given += ekf.apply(TrackHeading(*n, *heading, gate))
+        memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
-            self.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
+            memory.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
 
     def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; see `TramFilter.set_heading`."""
@@ -327,7 +350,7 @@ class Navigation:
 
     def mode(self, stamp_ns: int) -> int:
         """What is published of the place at `stamp_ns`, once the heading is known."""
-        return published_mode(Phase.RUNNING, (stamp_ns - self.fixes.accepted_ns) / S)
+        return published_mode(Phase.RUNNING, (stamp_ns - self.memory.fixes.accepted_ns) / S)
 
     def learned(self) -> list[Learned]:
         """Give what has been learned of the sensors."""
@@ -342,36 +365,20 @@ class Navigation:
         return deviations(fix, self.fixes.floor_m)
 
     # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        state = {
-            "filter": self.ekf.snapshot(),
-            "inertial": self._inertial.copy(),
-            "read_ns": self._read_ns,
-            "rate_ns": self._rate_ns,
-            "noise": self._noise.snapshot(),
-            "stood": self.stood,
-            "wheels": self.wheels.snapshot(),
-            "fixes": self.fixes.snapshot(),
-            "given": [tuple(each) for each in self.given],
-            "trail": None if self._trail is None else self._trail.snapshot(),
-        }
-        if self._watcher is not None:
-            state["watched"] = self._watcher.mark(self)
-        return state
+    def mark(self) -> None:
+        """Note in memory by which number a watcher finds this place again."""
+        self.memory.watched = 0 if self._watcher is None else self._watcher.mark(self)
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self.ekf.restore(state["filter"])
-        self._inertial[:] = state["inertial"]
-        self._read_ns, self._rate_ns = state["read_ns"], state["rate_ns"]
-        self.stood = state["stood"]
-        self._noise.restore(state["noise"])
-        self.wheels.restore(state["wheels"])
-        self.fixes.restore(state["fixes"])
-        self.given = [Verdict(*each) for each in state["given"]]
-        if self._trail is not None and state["trail"] is not None:
-            self._trail.restore(state["trail"])
+    def kept(self) -> NavigationMemory:
+        """Give a copy of the memory, to go back to."""
+        self.mark()
+        return copied(self.memory)
+
+    def go_back(self, kept: NavigationMemory) -> None:
+        """Go on from a copy."""
+        assign(self.memory, kept)
         if self._watcher is not None:
-            self._watcher.restored(self, state.get("watched", 0))
+            self._watcher.restored(self, kept.watched)
 
 
 def _astray(measurement: Any, frame_ns: int) -> Event:

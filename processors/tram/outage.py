@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
@@ -19,7 +19,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.events.kinds import Event
 from tramstream.processors.tram.events import NO_FIX, NO_IMU, NO_WHEELS, SLIPPING
-from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -39,19 +39,27 @@ SAME_PLACE_SIGMA = 4.0
 """A fix no further away than this is of the same place: the track leads one way there."""
 
 
+@dataclass
+class SilenceMemory:
+    """What `Silence` remembers, by what does not come."""
+
+    last_ns: dict[str, int] = field(default_factory=dict)
+    said_ns: dict[str, int] = field(default_factory=dict)
+    second: int = 0
+
+
 class Silence:
     """Notices what does not come; says so again and again while it lasts."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: SilenceMemory | None = None) -> None:
         expected = {NO_IMU: vehicle.imu, NO_WHEELS: vehicle.odometer, NO_FIX: vehicle.gnss}
         self._expected = [kind for kind, section in expected.items() if section is not None]
-        self._last_ns: dict[str, int] = {}
-        self._said_ns: dict[str, int] = {}
-        self._second = 0
+        self.memory = SilenceMemory() if memory is None else memory
 
     def note(self, frame: SyncFrame) -> bool:
         """Take note of what a frame brings; whether it is time to look for what does not come."""
-        stamp_ns, last_ns = frame.stamp_ns, self._last_ns
+        memory = self.memory
+        stamp_ns, last_ns = frame.stamp_ns, memory.last_ns
         if frame.HasField("imu"):
             last_ns[_IMU] = stamp_ns
         if frame.odometry:
@@ -59,14 +67,14 @@ class Silence:
         for fix in frame.gnss:
             if fix.valid:
                 last_ns[_FIXES] = stamp_ns
-        second, self._second = self._second, stamp_ns // S
-        return second != self._second
+        second, memory.second = memory.second, stamp_ns // S
+        return second != memory.second
 
     def missing(self, stamp_ns: int, slipping_s: float) -> list[Event]:
         """Give what there is to say."""
         found = []
         for kind in self._expected:
-            silence_s = (stamp_ns - self._last_ns.setdefault(kind.name, stamp_ns)) / S
+            silence_s = (stamp_ns - self.memory.last_ns.setdefault(kind.name, stamp_ns)) / S
             if silence_s > SILENT_S[kind]:
                 facts = {"silence_s": silence_s, "limit_s": SILENT_S[kind]}
                 found.append(kind(key=_KEYS[kind].path, **facts))
@@ -74,32 +82,25 @@ class Silence:
             facts = {"slipping_s": slipping_s, "limit_s": SLIPPING_S}
             found.append(SLIPPING(key=keys.ODO_WHEELS.path, **facts))
         due = [each for each in found if self._due(each.kind.name, stamp_ns)]
-        self._said_ns.update({each.kind.name: stamp_ns for each in due})
+        self.memory.said_ns.update({each.kind.name: stamp_ns for each in due})
         return due
 
     def _due(self, kind: str, stamp_ns: int) -> bool:
-        said_ns = self._said_ns.get(kind)
+        said_ns = self.memory.said_ns.get(kind)
         return said_ns is None or stamp_ns - said_ns >= REPEAT_S * S
 
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "last_ns": dict(self._last_ns),
-            "said_ns": dict(self._said_ns),
-            "second": self._second,
-        }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self._last_ns, self._said_ns = dict(state["last_ns"]), dict(state["said_ns"])
-        self._second = state["second"]
-
-
+@dataclass
 class Parked:
-    """The navigation of a vehicle that stood when everything fell silent."""
+    """The navigation of a vehicle that stood when everything fell silent. It is its own memory."""
 
-    def __init__(self, navigation: Navigation) -> None:
-        self._navigation = navigation.snapshot()
-        self._stamp_ns = navigation.ekf.stamp_ns
-        self._counters = navigation.wheels.counters()
+    _navigation: NavigationMemory
+    _counters: dict[str, int]
+
+    @classmethod
+    def of(cls, navigation: Navigation) -> Parked:
+        """Keep a navigation as it is."""
+        return cls(navigation.kept(), navigation.wheels.counters())
 
     def moved(
         self,
@@ -123,7 +124,7 @@ class Parked:
         usable = [fix for fix in fixes if fix.valid and not unusable(fix, navigation.level)]
         if not usable or not standing:
             return None
-        x = self._navigation["filter"]["x"]
+        x = self._navigation.filter.x
         east, north, _ = antenna_l(usable[-1], navigation.level)
         away_m = math.hypot(east - float(x[Ix.EAST]), north - float(x[Ix.NORTH]))
         reach_m = SAME_PLACE_SIGMA * navigation.accuracy_m(usable[-1]) + SAME_PLACE_M
@@ -132,19 +133,8 @@ class Parked:
     def resume(self, navigation: Navigation, stamp_ns: int) -> None:
         """Let the vehicle have stood all the time until `stamp_ns`."""
         navigation.forget_heading()  # whatever it went through meanwhile has ended
-        navigation.restore(self._navigation)
+        navigation.go_back(self._navigation)
         navigation.announce_heading()
-        navigation.ekf.rest((stamp_ns - self._stamp_ns) / S)
+        navigation.ekf.rest((stamp_ns - self._navigation.filter.stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "navigation": self._navigation,
-            "stamp_ns": self._stamp_ns,
-            "counters": dict(self._counters),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._navigation, self._stamp_ns = state["navigation"], state["stamp_ns"]
-        self._counters = dict(state["counters"])

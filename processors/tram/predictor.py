@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,81 +25,98 @@ MAX_STEP_S = 0.1
 """A longer pause between means: what acted in it is not known."""
 
 
+class Means:
+    """Readings in one block, those that the filter has seen first; kept are those that it has not.
+
+    Attributes
+    ----------
+    numbers : ndarray
+        Of `KEPT` records.
+    stamps_ns : list of int
+    begin : int
+        The first that the filter has not seen.
+    """
+
+    def __init__(self) -> None:
+        self._kept = np.zeros(CAPACITY, KEPT)
+        self.numbers = numbers(self._kept)
+        self.stamps_ns: list[int] = []
+        self.begin = 0
+
+    def drop(self, count: int) -> None:
+        """Forget the oldest."""
+        kept = len(self.stamps_ns) - count
+        self._kept[:kept] = self._kept[count : count + kept].copy()
+        del self.stamps_ns[:count]
+        self.begin = max(0, self.begin - count)
+
+    def to_plain(self) -> list[Any]:
+        return [self._kept[self.begin : len(self.stamps_ns)].copy(), self.stamps_ns[self.begin :]]
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> Means:
+        """Raises TypeError if `plain` is not what `to_plain` gives."""
+        fits = isinstance(plain, list) and len(plain) == 2 and isinstance(plain[0], np.ndarray)
+        if not fits or plain[0].dtype != KEPT or not plain[0].shape == (len(plain[1]),):
+            raise TypeError("memory of another version: not readings and their stamps")
+        if len(plain[1]) > CAPACITY:
+            raise TypeError("memory of another version: more readings than there is room for")
+        means = cls()
+        means._kept[: len(plain[1])] = plain[0]
+        means.stamps_ns = list(plain[1])
+        return means
+
+
+@dataclass
+class AheadMemory:
+    """What `Ahead` remembers."""
+
+    means: Means = field(default_factory=Means)
+    inertial: Array = field(default_factory=lambda: numbers(one(INERTIAL)))
+    last_ns: int = 0
+
+
 class Ahead:
     """Keeps the readings that the filter has not seen yet, in the vehicle's axes."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: AheadMemory | None = None) -> None:
         mounting = vehicle.imu.mounting_deg if vehicle.imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._kept = np.zeros(CAPACITY, KEPT)
-        self._numbers = numbers(self._kept)
-        self._stamps_ns: list[int] = []
-        self._begin = 0  # the first that the filter has not seen
-        self._inertial = numbers(one(INERTIAL))
-        self._last_ns = 0
+        self.memory = AheadMemory() if memory is None else memory
+        self._means = self.memory.means
         self._memory, self._mean = numbers(one(MEMORY)), numbers(one(READING))
 
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest mean; 0 before the first."""
-        return self._last_ns
+        return self.memory.last_ns
 
     def append(self, mean: ImuMean) -> None:
         """Take a mean, unless there is a newer one already, or it cannot be."""
-        stamp_ns = mean.stamp_ns
-        dt = (stamp_ns - self._last_ns) / S
+        stamp_ns, memory, means = mean.stamp_ns, self.memory, self._means
+        dt = (stamp_ns - memory.last_ns) / S
         if dt <= 0.0:
             return
         if dt > MAX_STEP_S:
             dt = 0.0
-        if len(self._stamps_ns) == CAPACITY:
-            self._drop(max(self._begin, CAPACITY // 4))
-        index, read = len(self._stamps_ns), axes.scalars_of(mean)
-        if prediction_to_now.keep(self._numbers, index, self._inertial, self._C_vb, *read, dt):
-            self._last_ns = stamp_ns
-            self._stamps_ns.append(stamp_ns)
-
-    def _drop(self, count: int) -> None:
-        kept = len(self._stamps_ns) - count
-        self._kept[:kept] = self._kept[count : count + kept].copy()
-        del self._stamps_ns[:count]
-        self._begin = max(0, self._begin - count)
+        if len(means.stamps_ns) == CAPACITY:
+            means.drop(max(means.begin, CAPACITY // 4))
+        index, read = len(means.stamps_ns), axes.scalars_of(mean)
+        if prediction_to_now.keep(means.numbers, index, memory.inertial, self._C_vb, *read, dt):
+            memory.last_ns = stamp_ns
+            means.stamps_ns.append(stamp_ns)
 
     def predict(self, ekf: TramFilter, horizon_ns: int) -> Array:
         """Values of an estimate (`tramstream.estimation.localiser`) at the newest mean.
 
         The filter is at `horizon_ns` and knows its heading.
         """
-        stamps, begin = self._stamps_ns, self._begin
+        means = self._means
+        stamps, begin = means.stamps_ns, means.begin
         count = len(stamps)
         while begin < count and stamps[begin] <= horizon_ns:
             begin += 1
-        self._begin = begin
+        means.begin = begin
         values = np.empty(VALUES)
-        ekf.estimate_ahead(self._memory, self._numbers, begin, count, self._mean, values)
+        ekf.estimate_ahead(self._memory, means.numbers, begin, count, self._mean, values)
         return values
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        kept = self._kept[: len(self._stamps_ns)]
-        return {
-            "inputs": kept["reading"].copy().view(np.float64).reshape(-1, _NUMBERS),
-            "durations": kept["duration"].copy(),
-            "stamps_ns": list(self._stamps_ns),
-            "begin": self._begin,
-            "reading": self._inertial.copy(),
-            "last_ns": self._last_ns,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._stamps_ns, self._begin = list(state["stamps_ns"]), state["begin"]
-        kept = self._kept[: len(self._stamps_ns)]
-        inputs = np.ascontiguousarray(state["inputs"], dtype=np.float64)
-        kept["reading"] = inputs.view(READING).reshape(-1)
-        kept["duration"] = state["durations"]
-        read = np.ravel(state["reading"])  # older versions had one number more
-        self._inertial[:] = read[: len(self._inertial)]
-        self._last_ns = state["last_ns"]
-
-
-_NUMBERS = READING.itemsize // 8

@@ -13,13 +13,12 @@ Equations: docs/theory.md, section 7.2.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Protocol
-
-import numpy as np
+from dataclasses import dataclass, field
+from typing import Annotated, Protocol
 
 from tramstream.clock import S
 from tramstream.estimation.kalman import Array, compiled
-from tramstream.estimation.records import dtype_of, numbers, one
+from tramstream.estimation.records import Records, dtype_of, numbers, one
 from tramstream.processors.tram_model.records import READING, X, Y, Z
 
 WHEELS_STILL_S = 0.6
@@ -137,25 +136,36 @@ def _blend(before: float, value: float, weight: float) -> float:
     return value + (before - value) * (1.0 - weight) if before != 0.0 else value
 
 
+@dataclass(eq=False)
 class Standstill:
-    """Decides frame by frame; `noise` gives what the readings scatter by while standing."""
+    """Decides frame by frame; `noise` gives what the readings scatter by while standing.
 
-    def __init__(self) -> None:
-        self.standing = False
-        self.since_ns = 0
-        """Start of the present state."""
-        self._shaking = one(SHAKING)
+    It is its own memory.
+    """
+
+    standing: bool = False
+    since_ns: int = 0
+    """Start of the present state."""
+    _shaking: Records = field(default_factory=lambda: one(SHAKING))
+    _started: bool = False
+    _last_ns: int = 0
+    """Inertial reading."""
+    _wheel_ns: int = 0
+    """Last reading of the wheels."""
+    _turned_ns: int = 0
+    """Last reading with a turn."""
+    _quiet_ns: int = 0
+    """Since when the inertial sensor agrees."""
+    _gnss_mps: float = math.inf
+    _gnss_ns: int = 0
+    _fast_ns: int = 0
+    """Since when that has been fast."""
+    noise: Array = field(init=False)
+    """Variance of rates and specific forces in the last moments, shape (6,)."""
+
+    def __post_init__(self) -> None:
         self._numbers = numbers(self._shaking)
         self.noise = self._numbers[6:12]
-        """Variance of rates and specific forces in the last moments, shape (6,)."""
-        self._started = False
-        self._last_ns = 0  # inertial reading
-        self._wheel_ns = 0  # last reading of the wheels
-        self._turned_ns = 0  # last reading with a turn
-        self._quiet_ns = 0  # since when the inertial sensor agrees
-        self._gnss_mps = math.inf
-        self._gnss_ns = 0
-        self._fast_ns = 0  # since when that has been fast
 
     @property
     def speed_over_ground_mps(self) -> float:
@@ -237,18 +247,3 @@ class Standstill:
             bias_z,
         ):
             self._quiet_ns = stamp_ns
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        plain = {name: v for name, v in vars(self).items() if not isinstance(v, np.ndarray)}
-        return plain | {"shaking": self._numbers.copy()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        plain = dict(state)
-        if "shaking" in plain:
-            self._numbers[:] = plain.pop("shaking")
-        else:  # of an older version: the same numbers in the same order, in two arrays
-            self._numbers[:12] = np.ravel(plain.pop("_statistics"))
-            self._numbers[12:] = plain.pop("_learned")
-        for name, value in plain.items():
-            setattr(self, name, value)

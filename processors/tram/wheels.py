@@ -11,8 +11,7 @@ Equations: docs/theory.md, sections 6.5, 6.6 and 7.5.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
@@ -97,10 +96,18 @@ class Wheel:
         return not (self.refused or self.cusum_up > CUSUM_LIMIT or self.cusum_down > CUSUM_LIMIT)
 
 
+@dataclass
+class PairMemory:
+    """What a `WheelPair` remembers."""
+
+    wheels: dict[str, Wheel] = field(default_factory=dict)
+    slips: int = 0
+
+
 class WheelPair:
     """The one or two wheels that the filter has states for."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, memory: PairMemory | None = None) -> None:
         config = vehicle.wheels
         self._track_m = config.track_m
         self._m_per_pulse = config.m_per_pulse
@@ -111,8 +118,13 @@ class WheelPair:
         self._sides = (
             {name: w.side for name, w in odometer.wheels.items() if w.side} if odometer else {}
         )
-        self._wheels: dict[str, Wheel] = {}
-        self.slips = 0
+        self.memory = PairMemory() if memory is None else memory
+        self._wheels = self.memory.wheels
+
+    @property
+    def slips(self) -> int:
+        """How often a wheel was found slipping."""
+        return self.memory.slips
 
     def side(self, name: str) -> str:
         known = self._sides.get(name)
@@ -276,7 +288,7 @@ class WheelPair:
                 wheel.slipping, wheel.slip_ns = True, stamp_ns
                 excluded_ns = int(misled * EXCLUDED_S * S)
                 self._restart_path(wheel, stamp_ns + excluded_ns, self._m_per_pulse**2, ekf)
-                self.slips += 1
+                self.memory.slips += 1
         ekf.widen(Ix.SPEED, MISLED_STD_MPS * misled)
         ekf.widen(Ix.PITCH, MISLED_STD_RAD * misled)
 
@@ -335,7 +347,7 @@ class WheelPair:
             wheel.slipping = False
         elif not wheel.slipping:
             wheel.slipping, wheel.slip_ns = True, stamp_ns
-            self.slips += 1
+            self.memory.slips += 1
         elif stamp_ns - wheel.slip_ns > OVERRULE_S * S:
             ekf.widen(Ix.SPEED, abs(verdict.innovation))
             wheel.slip_ns = stamp_ns
@@ -353,29 +365,6 @@ class WheelPair:
         if verdict.measurement in _SPEEDS:
             return [WHEEL_SPEED_REFUSED(innovation_mps=off, limit_mps=limit, **facts)]
         return [WHEEL_REFUSED(innovation_m=off, limit_m=limit, **facts)]
-
-    # Memory --------------------------------------------------------------------------------------
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "slips": self.slips,
-            "wheels": {name: asdict(wheel) for name, wheel in self._wheels.items()},
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.slips = state["slips"]
-        self._wheels = {
-            name: Wheel(**{_RENAMED.get(field, field): value for field, value in fields.items()})
-            for name, fields in state["wheels"].items()
-        }
-
-
-_RENAMED = {
-    "ahead": "cusum_up",
-    "behind": "cusum_down",
-    "agreed_ns": "agrees_since_ns",
-    "agreed_m": "agreed_path_m",
-}
-"""What snapshots of older versions call the fields of a wheel."""
 
 
 def path_variance(ekf: TramFilter, wheel: Wheel) -> float:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tramstream.clock import S
-from tramstream.estimation.track import LocalTrack, Pose, Trail, in_level
+from tramstream.estimation.track import LocalTrack, Pose, Trail, TrailMemory, in_level
 from tramstream.geodesy import LocalLevel, convergence_rad
+from tramstream.memory.stage import assign, from_plain, to_plain
 from tramstream.proto.estimate_pb2 import TrackGeometry
 
 UM = 1e-6
@@ -140,6 +141,6 @@ def test_trail_knows_nothing_of_the_future_or_of_long_ago() -> None:
 def test_restored_trail_goes_on_to_the_last_bit() -> None:
     trail, other = Trail(0.2), Trail(0.2)
     poses = driven(trail, 60, (0.0, 0.1, 0.0, 0.0))
-    other.restore(trail.snapshot())
+    assign(other.memory, from_plain(TrailMemory, to_plain(trail.memory)))
     assert other.at(45 * S // 100, poses[-1]) == trail.at(45 * S // 100, poses[-1])
-    assert other.snapshot() == trail.snapshot()
+    assert other.memory == trail.memory

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from tramstream.clock import S
@@ -133,6 +133,16 @@ def in_level(message: TrackGeometry, level: LocalLevel, height_m: float) -> Loca
     )
 
 
+@dataclass
+class TrailMemory:
+    """What a `Trail` remembers."""
+
+    carried: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
+    """East, north, yaw, pitch by which all predictions together have moved the filter."""
+    rows: deque[tuple[int, Pose]] = field(default_factory=deque)
+    """How far it had been carried, by stamp."""
+
+
 class Trail:
     """How far predictions have carried a filter in its last moments.
 
@@ -140,13 +150,16 @@ class Trail:
     ----------
     span_s : float
         So long ago may be asked about.
+    memory : TrailMemory or None
+        Part of its owner's memory; one of its own by default.
     """
 
-    def __init__(self, span_s: float) -> None:
+    def __init__(self, span_s: float, memory: TrailMemory | None = None) -> None:
         self._span_ns = int((span_s + MARGIN_S) * S)
-        self.carried = [0.0, 0.0, 0.0, 0.0]
-        """East, north, yaw, pitch by which all predictions together have moved the filter."""
-        self._rows: deque[tuple[int, Pose]] = deque()
+        self.memory = TrailMemory() if memory is None else memory
+        self.carried = self.memory.carried
+        """See `TrailMemory`."""
+        self._rows = self.memory.rows
 
     def carry(self, before: Pose, after: Pose) -> None:
         """Take note that a prediction has moved the filter."""
@@ -183,16 +196,6 @@ class Trail:
             for here, total, then in zip(now, self.carried, carried, strict=True)
         )
         return e, n, yaw, pitch
-
-    def snapshot(self) -> list[list[float]]:
-        """The newest sums, then a row for each instant: its stamp and the sums of then."""
-        return [list(self.carried), *([stamp_ns, *carried] for stamp_ns, carried in self._rows)]
-
-    def restore(self, state: Iterable[Iterable[float]]) -> None:
-        """Go on from a snapshot."""
-        carried, *rows = state
-        self.carried[:] = carried
-        self._rows = deque((int(stamp_ns), (e, n, y, p)) for stamp_ns, e, n, y, p in rows)
 
 
 def _sum(first: Pose, second: Pose, share: float) -> Pose:

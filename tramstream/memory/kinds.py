@@ -182,10 +182,10 @@ class Several(Kind):
 
     def __init__(self, kind: type, inner: Kind) -> None:
         self._kind, self._inner = kind, inner
+        self._of_values = _shared(inner)
 
     def copy(self, value: Any) -> Any:
-        inner = self._inner
-        each = value if isinstance(inner, Value) else map(inner.copy, value)
+        each = value if self._of_values else map(self._inner.copy, value)
         return deque(each, value.maxlen) if self._kind is deque else self._kind(each)
 
     def plain(self, value: Any) -> Any:
@@ -214,10 +214,10 @@ class Row(Kind):
     def __init__(self, kind: Any, inner: list[Kind]) -> None:
         self._make = kind._make if hasattr(kind, "_make") else tuple
         self._inner = inner
-        self._shared = all(isinstance(each, Value) for each in inner)
+        self.shared: bool = all(_shared(each) for each in inner)
 
     def copy(self, value: Any) -> Any:
-        if self._shared:
+        if self.shared:
             return value
         return self._make(kind.copy(each) for kind, each in zip(self._inner, value, strict=True))
 
@@ -229,6 +229,11 @@ class Row(Kind):
             raise _unfit(path, value, f"not {len(self._inner)} values")
         pairs = zip(self._inner, value, strict=True)
         return self._make(kind.read(each, path) for kind, each in pairs)
+
+
+def _shared(kind: Kind) -> bool:
+    """Whether copies share what is of this kind, for nobody can change it."""
+    return isinstance(kind, Value) or (isinstance(kind, Row) and kind.shared)
 
 
 class Dictionary(Kind):

@@ -32,9 +32,9 @@ from tramstream.config import Map
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, values_of
 from tramstream.estimation.track import OnTrack
 from tramstream.lines.line import Line
-from tramstream.memory.stage import copied
+from tramstream.memory.stage import assign, copied, from_plain, to_plain
 from tramstream.processors.matching import hypotheses as kernels
-from tramstream.processors.matching.matcher import Match, Matcher
+from tramstream.processors.matching.matcher import HypothesesMemory, Match, Matcher
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.rails import place, rails_of
 
@@ -703,11 +703,11 @@ def test_restored_matcher_says_the_same_to_the_last_bit(at: int) -> None:
     matcher, frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL)
     for estimate in drive.estimates[:at]:
         matcher.step(estimate, frame)
-    kept, laid = matcher.snapshot(), copied(frame.memory)
+    kept, laid = to_plain(matcher.remembered), copied(frame.memory)
     rest: Sequence = drive.estimates[at : at + 800]
     expected = [repr(matcher.step(each, frame)) for each in rest]
     other, other_frame = Matcher(case.network, SETTINGS), MapFrame(case.network, FILTER_LEVEL, laid)
-    other.restore(kept)
+    assign(other.remembered, from_plain(HypothesesMemory, kept))
     assert [repr(other.step(each, other_frame)) for each in rest] == expected
 
 

@@ -14,8 +14,15 @@ from tramstream.config import Map, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.estimation.localiser import HEADING_UNKNOWN, TRACKING
 from tramstream.geodesy import convergence_rad
+from tramstream.memory.stage import from_plain, to_plain
 from tramstream.processors.matching.processor import MapMatcher
-from tramstream.processors.matching.source import Ground, ReceiverFixes, States
+from tramstream.processors.matching.source import (
+    FixesMemory,
+    Ground,
+    ReceiverFixes,
+    States,
+    StatesMemory,
+)
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 
@@ -92,8 +99,7 @@ def test_filter_is_held_to_the_track_as_long_as_its_states_show_it() -> None:
     taking.innovations.add(measurement="track_across", value=0.1, variance=1.0, accepted=True)
     states.take(taking)
     assert states.held
-    other = States()
-    other.restore(states.snapshot())
+    other = States(from_plain(StatesMemory, to_plain(states.memory)))
     for k in range(1, 25):  # 0.5 m each
         states.take(state(1.1 + 0.1 * k))
         assert states.held == (0.5 * k < 10.0)
@@ -131,8 +137,7 @@ def test_course_of_a_moving_fix_is_the_heading_and_is_kept_for_a_while() -> None
     assert moving.yaw_rad == pytest.approx(math.pi / 2.0)
     assert moving.speed_mps == pytest.approx(5.0)
     assert moving.covariance[0, 0] == pytest.approx(1.0)
-    other = ReceiverFixes()
-    other.restore(fixes.snapshot())
+    other = ReceiverFixes(from_plain(FixesMemory, to_plain(fixes.memory)))
     for each in (fixes, other):
         stopped = each.take(fix(4.0, 0.0))
         assert stopped is not None

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tramstream.live import snapshots
-from tramstream.processors.tram.alignment import ENOUGH_RAD, LEAST_WAY_M, Alignment
+from tramstream.memory.stage import from_plain, to_plain
+from tramstream.processors.tram.alignment import ENOUGH_RAD, LEAST_WAY_M, Alignment, AlignmentMemory
 
 SEEDS = range(20)
 TAU_S = 20.0
@@ -122,14 +123,14 @@ def test_fixes_that_are_far_off_turn_nothing(wrong: list[int], offset: complex) 
 def test_fix_at_the_same_instant_is_not_taken_twice() -> None:
     fixes = arc(0.5, 6.0, 0.1, 8)
     doubled = [each for each in fixes for _ in range(2)]
-    assert took(doubled).snapshot() == took(fixes).snapshot()
+    assert took(doubled).memory == took(fixes).memory
 
 
 def test_memory_comes_back() -> None:
     fixes = arc(0.5, 6.0, 0.1, 9)
     whole, first = took(fixes), took(fixes[:5])
-    second = Alignment(TAU_S)
-    second.restore(snapshots.unpack(snapshots.pack(first.snapshot())))
+    kept = snapshots.unpack(snapshots.pack(to_plain(first.memory)))
+    second = Alignment(TAU_S, from_plain(AlignmentMemory, kept))
     for time_s, place, turned in fixes[5:]:
         second.take(time_s, place.real, place.imag, turned, STD_M)
-    assert second.snapshot() == whole.snapshot()
+    assert second.memory == whole.memory

@@ -10,7 +10,9 @@ import pytest
 from rides import Ride, time_s
 from test_tram_start import copies, plain
 
+from tramstream.config import Vehicle
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, STARTING, TRACKING
+from tramstream.live import snapshots
 from tramstream.processors.tram import heading
 from tramstream.processors.tram.localiser import BACK_S, BLIND_S, SILENT_S, TramLocaliser
 from tramstream.processors.tram.modes import (
@@ -24,7 +26,6 @@ from tramstream.processors.tram.modes import (
     Phase,
     drive_by_reading,
     drive_without_reading,
-    phase_of,
     published_mode,
 )
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -166,9 +167,12 @@ def test_without_a_reading_the_bus_drives_the_motion_or_nothing() -> None:
     assert drive_without_reading(held, rate_held + MS, rate_read=False) is Drive.COASTING
 
 
-def test_phase_of_an_older_snapshot_is_told_by_what_it_holds() -> None:
-    old: dict[str, object] = {"aligned": False, "search": None, "level": None}
-    assert phase_of(old) is Phase.WAITING
-    assert phase_of(old | {"level": [0.0, 0.0, 0.0]}) is Phase.RESTING
-    assert phase_of(old | {"level": [0.0, 0.0, 0.0], "search": {}}) is Phase.SEEKING
-    assert phase_of(old | {"level": [0.0, 0.0, 0.0], "aligned": True}) is Phase.RUNNING
+def test_memory_of_an_older_version_is_refused_and_nothing_is_changed() -> None:
+    """Whoever restores it begins afresh, and says so."""
+    localiser = TramLocaliser(Vehicle(vehicle="t1"))
+    before = localiser.snapshot()
+    older: dict[str, object] = {**before, "aligned": False}
+    del older["phase"]
+    with pytest.raises(TypeError, match="another version"):
+        localiser.restore(older)
+    assert snapshots.pack(localiser.snapshot()) == snapshots.pack(before)

@@ -12,6 +12,7 @@ from test_tram_start import LINE, copies, plain
 
 from tramstream.clock import S
 from tramstream.live import snapshots
+from tramstream.memory.stage import from_plain, to_plain
 from tramstream.processors.tram.events import SLIPPING
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.standstill import FAST_S, LOCKED_MPS, WHEELS_STILL_S, Standstill
@@ -179,12 +180,11 @@ def test_memory_comes_back() -> None:
     for drive in (one, other):
         drive.shaking = IDLING_RADPS
         drive.go(5.0, turns=True, gnss_mps=5.0, speed_mps=5.0)
-    state = other.standstill.snapshot()
-    other.standstill = Standstill()
-    other.standstill.restore(snapshots.unpack(snapshots.pack(state)))
+    state = to_plain(other.standstill)
+    other.standstill = from_plain(Standstill, snapshots.unpack(snapshots.pack(state)))
     for drive in (one, other):
         drive.go(5.0, gnss_mps=0.1, speed_mps=0.1)
-    a, b = one.standstill.snapshot(), other.standstill.snapshot()
+    a, b = to_plain(one.standstill), to_plain(other.standstill)
     assert snapshots.pack(a) == snapshots.pack(b)
     assert state["since_ns"] != a["since_ns"]  # what was handed out has not gone on
 

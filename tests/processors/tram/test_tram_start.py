@@ -270,7 +270,7 @@ def same(one: Estimate | None, other: Estimate | None) -> bool:
 
 def phase(localiser: TramLocaliser) -> str:
     """What the localiser is doing."""
-    if localiser._parked is not None:
+    if localiser.memory.parked is not None:
         return "parked"
     if localiser._search is not None:
         return "trying" if localiser._search.trying else "keeping"

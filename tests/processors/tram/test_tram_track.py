@@ -131,9 +131,9 @@ def test_track_is_filterpys_dense_update(bend: float, grade: float) -> None:
             found / np.outer(scale, scale), dense.P / np.outer(scale, scale), atol=1e-6
         )
         np.testing.assert_array_equal(found, found.T)
-        assert len(navigation.given) == rows
-        assert all(verdict.accepted for verdict in navigation.given)
-        distance = sum(each.innovation**2 / each.variance for each in navigation.given)
+        assert len(navigation.memory.given) == rows
+        assert all(verdict.accepted for verdict in navigation.memory.given)
+        distance = sum(each.innovation**2 / each.variance for each in navigation.memory.given)
         expected = float(z @ np.linalg.solve(dense.S, z))
         assert distance == pytest.approx(expected, rel=1e-6)
 
@@ -206,7 +206,7 @@ def test_track_beyond_the_gate_changes_nothing() -> None:
     navigation = tracked(x, P, on_track, SCALAR_GATE)
     np.testing.assert_array_equal(navigation.ekf.x[:, 0], x)
     np.testing.assert_array_equal(navigation.ekf.P, P)
-    assert not any(verdict.accepted for verdict in navigation.given)
+    assert not any(verdict.accepted for verdict in navigation.memory.given)
 
 
 # Rides --------------------------------------------------------------------------------------------
