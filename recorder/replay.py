@@ -11,6 +11,7 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.recorder.reader import Entry, Record
 from tramstream.transport.bus import Bus
+from tramstream.transport.resend import ENTRY_BYTES, LIMIT_BYTES
 
 AHEAD_S = 0.002
 """Messages due within so little time go out at once: sleeping is no finer."""
@@ -19,7 +20,12 @@ WAIT_S = 0.1
 LEAVE_S = 30.0
 """At the end a recorder gets so long to ask for what it missed; it is slower than `--rate 0`."""
 UNPACED_RATE_HZ = 20_000
-"""`--rate 0`: a whole ride goes to a recorder without loss at it (tests/test_pipeline.py)."""
+"""`--rate 0`: no subscriber takes more."""
+PORTION_BYTES = LIMIT_BYTES // 2
+"""`--rate 0`: after so much the recorder gets time for it. What it missed can still be sent again:
+twice as much is kept (tests/test_pipeline.py)."""
+PORTION_S = 10.0
+"""A recorder that stands still gets so long, once."""
 
 
 @dataclass
@@ -54,7 +60,7 @@ class Replay:
         """Publish until the end of the record, or of `stop`; `each` is called now and then."""
         while not stop.is_set():
             self._once(stop, each)
-            self.bus.take_leave(self.vehicle, LEAVE_S)
+            self.bus.until_recorded(self.vehicle, LEAVE_S)
             if not self.loop:
                 return
             self.bus.renew_session()  # sequence numbers begin anew: nobody shall count a loss
@@ -62,6 +68,7 @@ class Replay:
     def _once(self, stop: Event, each: Callable[[], None]) -> None:
         due = self._paced(self.record.messages(self.match, self.start_ns, self.end_ns), stop, each)
         encodings: dict[str, tuple[str, str]] = {}
+        waits, ahead_bytes = self.rate <= 0, 0
         for entry in due:
             if keys.is_apart(entry.topic):
                 continue  # a second publisher's: it would be one of ours on the bus
@@ -75,6 +82,9 @@ class Replay:
             self.bus.publish(known[0], entry.payload, known[1], entry.sequence)
             self.published += 1
             self.position_ns = entry.log_ns
+            ahead_bytes += len(entry.payload) + ENTRY_BYTES
+            if waits and ahead_bytes >= PORTION_BYTES:
+                waits, ahead_bytes = self.bus.until_recorded(self.vehicle, PORTION_S), 0
 
     def _paced(
         self, entries: Iterator[Entry], stop: Event, each: Callable[[], None]

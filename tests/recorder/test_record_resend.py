@@ -107,7 +107,7 @@ print("up", flush=True)
 sys.stdin.readline()
 for number in range(count):
     bus.publish(key.on("v"), bytes(100), key.encoding, number + 1)
-bus.take_leave("v", 60.0)
+bus.until_recorded("v", 60.0)
 bus.close()
 print(count, flush=True)
 """

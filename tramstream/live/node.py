@@ -107,7 +107,7 @@ class Node(ABC):
 
     def take_leave(self) -> None:
         """Right before the end: the recorder shall have the last word of everybody."""
-        self.bus.take_leave(self.vehicle)
+        self.bus.until_recorded(self.vehicle)
 
     def ledgers(self) -> list[Ledger]:
         """Ledgers of the stages inside."""

@@ -121,8 +121,11 @@ class Bus(ABC):
         """Give `take` what queries on `topic` carry, and a call that answers it at any time."""
 
     @abstractmethod
-    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
-        """Wait until the recorder of `vehicle`, if there is one, has all of this session."""
+    def until_recorded(self, vehicle: str, timeout_s: float = LEAVE_S) -> bool:
+        """Wait until the recorder of `vehicle` has all of this session so far; False if it has not.
+
+        Where there is no recorder, it has all.
+        """
 
     @abstractmethod
     def ask_again(
@@ -183,10 +186,11 @@ class LocalBus(Bus):
         return [answer for answer in answers if answer is not None]
 
     def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
-        """Nobody asks: see `take_leave`."""
+        """Nobody asks: see `until_recorded`."""
 
-    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
+    def until_recorded(self, vehicle: str, timeout_s: float = LEAVE_S) -> bool:
         """Nothing is under way: what was published has been delivered."""
+        return True
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0
@@ -350,13 +354,14 @@ class ZenohBus(Bus):
 
         self._held.append(self._session.declare_queryable(topic, callback))
 
-    def take_leave(self, vehicle: str, timeout_s: float = LEAVE_S) -> None:
+    def until_recorded(self, vehicle: str, timeout_s: float = LEAVE_S) -> bool:
         end_s = time.monotonic() + timeout_s
         while (rest_s := end_s - time.monotonic()) > 0.0:
             answered = self.ask(keys.farewell(vehicle), rest_s, self.session.to_bytes(4, "little"))
             if answered or not self.alive(keys.alive(vehicle, "recorder")):
-                return
+                return True
             time.sleep(ROUTER_POLL_S)  # a full link drops question or answer: it is put again
+        return False
 
     def ask_again(
         self, request: bytes, session: int | None = None, timeout_s: float = 2.0
