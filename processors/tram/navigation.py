@@ -14,7 +14,7 @@ from tramstream import keys
 from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
-from tramstream.estimation.fixes import deviations, unusable
+from tramstream.estimation.fixes import unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
     Learned,
@@ -26,6 +26,7 @@ from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, copied
 from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
+from tramstream.processors.tram.course import Course, CourseMemory
 from tramstream.processors.tram.estimate import learned
 from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
 from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
@@ -96,6 +97,7 @@ class NavigationMemory:
     """Numbers of `records.Inertial`."""
     wheels: PairMemory = field(default_factory=PairMemory)
     fixes: FixesMemory = field(default_factory=FixesMemory)
+    course: CourseMemory = field(default_factory=CourseMemory)
     noise: NoiseMemory = field(default_factory=NoiseMemory)
     read_ns: int = 0
     rate_ns: int = 0
@@ -126,6 +128,7 @@ class Navigation:
         self.memory = memory = NavigationMemory(self.ekf.remembered, self._inertial)
         self.wheels = WheelPair(vehicle, memory.wheels)
         self.fixes = Fixes(vehicle, memory.fixes)
+        self._course = Course(self.fixes.tau_s, memory.course)
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
@@ -147,6 +150,11 @@ class Navigation:
         self.ekf.P = np.diag(first_deviations(vehicle) ** 2)
         delay_s, pivot_m = vehicle.wheels.delay_s, vehicle.ekf.pivot_m
         self.ekf.set_states(Ix.WHEEL_DELAY, (delay_s, pivot_m))
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing but fixes tells of the motion."""
+        return self.memory.noise.drive is Drive.COASTING and not self.wheels.known
 
     # Readings ------------------------------------------------------------------------------------
     def read(self, frame: SyncFrame) -> bool:
@@ -299,6 +307,8 @@ class Navigation:
                 return []
             verdicts, found = self.fixes.apply(measurement, self.ekf, self.level, standing)
             self.complaints += found
+            if self.alone and not standing:
+                self._course.follow(measurement, verdicts, self.ekf, self.fixes, self.level)
             return verdicts
         if not self.wheels.known:
             self.wheels.assign(measurement, self.ekf)
@@ -362,7 +372,7 @@ class Navigation:
 
     def accuracies_m(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of a fix on each horizontal axis, and of its height."""
-        return deviations(fix, self.fixes.floor_m)
+        return self.fixes.deviations(fix)
 
     # Memory --------------------------------------------------------------------------------------
     def mark(self) -> None:

@@ -80,6 +80,10 @@ class Situation(Protocol):
     """Driving noise of the fixes' error on each horizontal axis, m²/s."""
     fix_up_density: float
     """Driving noise of the fixes' error in height, m²/s."""
+    slow_decay: float
+    """1/τ of the part of the fixes' error that lasts for many minutes, 1/s."""
+    slow_density: float
+    """Driving noise of that part on each horizontal axis, m²/s."""
     wheel_offset: Annotated[Array, (2,)]
     """Of each wheel to the left of the vehicle's axis, m."""
     wheel_sign: Annotated[Array, (2,)]
