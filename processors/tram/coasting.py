@@ -24,12 +24,12 @@ from tramstream.processors.tram_model.records import READING_S, situation
 SPEED_STD_MPS_RTS = 1.5
 """How the speed may change unseen: 5 m/s within ten seconds."""
 YAW_STD_RAD_RTS = 0.2
-"""How the heading may turn unseen in a pause: by 0.25 rad in 1.5 s."""
+"""How the heading may turn unseen in a pause: by 0.25 rad in 1.5 s; reckoned by hand."""
 YAW_STD_RAD_RTM = 0.2
 """How the heading of a vehicle without an IMU may turn: by 0.8 rad along the 16 m of a street
-corner of 10 m."""
+corner of 10 m; reckoned by hand, guarded by `tests/processors/tram/test_fixes_alone.py`."""
 YAW_FLOOR_RAD_RTS = 0.02
-"""The same of one whose speed is taken to be none."""
+"""The same of one whose speed is taken to be none; chosen by hand."""
 
 
 @dataclass

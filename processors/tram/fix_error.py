@@ -30,7 +30,7 @@ LIMIT = 4.0
 """One change counts for no more than so many of what is expected, as Huber has it; by hand."""
 EVEN = 1.0 - math.exp(-LIMIT)
 """Mean of min(u, LIMIT) where u, half a χ² of two degrees, has the mean 1."""
-FIRST_S, MOST_S = 20.0, 200.0
+FIRST_S, MOST_S = 10.0, 200.0
 """Time constant of what is learned: it begins with the first and grows to the second; by hand."""
 TRUSTED = 1.7
 """Up to this times the stated variance the receiver is believed; chosen by hand."""
@@ -63,6 +63,8 @@ class FixErrorMemory:
     """The same by changes within a part of it."""
     across: float = 0.0
     """The same by the error across a track; 0 while there is none."""
+    across_ns: int = 0
+    """When that was last seen."""
 
 
 class FixError:
@@ -128,9 +130,20 @@ class FixError:
             memory.whole = max(memory.part, 1.0)
         return True
 
-    def see_across(self, error_m: float, variance_m2: float, stated_m: float) -> None:
-        """Take the error of the fixes across a track that the filter is held to."""
+    def see_across(
+        self, stamp_ns: int, error_m: float, variance_m2: float, stated_m: float
+    ) -> None:
+        """Take the error of the fixes across a track that the filter is held to.
+
+        Parameters
+        ----------
+        variance_m2 : float
+            Of the way to the track; what may be the track's error is not the fixes'.
+        """
         memory = self.memory
+        if not stamp_ns - memory.across_ns >= (SAMPLE_S - 0.01) * S:
+            return
+        memory.across_ns = stamp_ns
         found = max(error_m * error_m - 2.0 * variance_m2, 0.0) / (stated_m * stated_m)
         limit = LIMIT * max(memory.across, 1.0)
         memory.across += (min(found, limit) - memory.across) / (MOST_S / SAMPLE_S)

@@ -81,8 +81,8 @@ DIVERGED_S = 600.0
 VELOCITY_FLOOR_MPS = 0.03
 VELOCITY_STD_MPS = 0.5
 """Of one whose receiver says nothing of its accuracy."""
-SLOW_STEP = 1.1
-"""The slow error's deviation is changed when it is off by this factor; chosen by hand."""
+STEP = 1.1
+"""What is learned of the error is told to the filter when it is off by this factor; by hand."""
 NEIGHBOURS_S = 3.0
 """Fixes that are less apart share most of their error; chosen by hand."""
 UNSHARED = 0.2
@@ -143,6 +143,8 @@ class FixesMemory:
     """Stamp of the last fix that was accepted."""
     taken_ns: list[int] = field(default_factory=list)
     """When the position was taken from the fixes."""
+    fast: float = 1.0
+    """Variance over the stated one that the error's state goes on with."""
     slow_m: float = 0.0
     """Deviation that the slow error's state began with; 0 before the first fix."""
     learned: FixErrorMemory = field(default_factory=FixErrorMemory)
@@ -216,6 +218,8 @@ class Fixes:
         else:
             memory.refused_ns = 0
         measured = None if standing else velocity_l(fix, level)
+        if measured == (0.0, 0.0):  # no moving antenna measures that: the receiver holds its place
+            measured = None
         if measured is not None:
             std_mps = _velocity_std(fix)
             taken = ekf.apply(GnssVelocity(*measured, crowded * std_mps * std_mps))
@@ -243,6 +247,7 @@ class Fixes:
                 for state in (Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH):
                     ekf.reset(state, 0.0, memory.slow_m)
             memory.std_m = std
+        self._set_fast_error(ekf)
         self._set_slow_error(ekf, slow)
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
@@ -253,18 +258,35 @@ class Fixes:
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
         ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
 
+    def _set_fast_error(self, ekf: TramFilter) -> None:
+        """Let a place that fixes have given be as doubtful as they turn out to be."""
+        memory, fast = self.memory, self.learned.fast
+        if fast > STEP * memory.fast:
+            wider = math.sqrt(fast / memory.fast - 1.0)
+            for state, error in ((Ix.EAST, Ix.GNSS_EAST), (Ix.NORTH, Ix.GNSS_NORTH)):
+                ekf.exchange(state, error, wider * math.sqrt(ekf.variances[error]))
+        if not memory.fast / STEP < fast < memory.fast * STEP:
+            memory.fast = fast
+
+    def on_track(self, ekf: TramFilter, normal: tuple[float, float], variance_m2: float) -> None:
+        """Learn of the error that the fixes have across a track that the filter is held to."""
+        if self.memory.std_m > 0.0:
+            east, north = _error_m(ekf)
+            across_m = normal[0] * east + normal[1] * north
+            self.learned.see_across(ekf.stamp_ns, across_m, variance_m2, self.memory.std_m)
+
     def _set_slow_error(self, ekf: TramFilter, slow_m: float) -> None:
         """Let the slow error be as large as it is taken to be now, as if it always had been.
 
         Of the fixes so far only the sum of place and error is known.
         """
         memory = self.memory
-        if slow_m > SLOW_STEP * memory.slow_m:
+        if slow_m > STEP * memory.slow_m:
             wider = math.sqrt(slow_m * slow_m - memory.slow_m * memory.slow_m)
             ekf.exchange(Ix.EAST, Ix.GNSS_SLOW_EAST, wider)
             ekf.exchange(Ix.NORTH, Ix.GNSS_SLOW_NORTH, wider)
             memory.slow_m = slow_m
-        elif slow_m * SLOW_STEP < memory.slow_m:
+        elif slow_m * STEP < memory.slow_m:
             ekf.apply(SlowError(1.0 / (1.0 / slow_m**2 - 1.0 / memory.slow_m**2)))
             memory.slow_m = slow_m
         ekf.set_slow_fix_error(1.0 / SLOW_TAU_S, 2.0 * memory.slow_m * memory.slow_m / SLOW_TAU_S)

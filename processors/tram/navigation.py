@@ -337,6 +337,7 @@ class Navigation:
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
         memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        self.fixes.on_track(ekf, n, told.across_variance)
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
         memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
