@@ -329,17 +329,20 @@ class Fixes:
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
         """Let the position be elsewhere, where fixes without an error would have it.
 
-        So the height is: whoever was taken for elsewhere was taken for as high as it is there.
+        So is the height, if it is far from theirs: it was that of another place.
         """
-        up, std_up = ekf.state[Ix.GNSS_UP], self.memory.std_up_m
-        for state, by in ((Ix.EAST, east), (Ix.NORTH, north), (Ix.UP, up)):
-            ekf.shift(state, by)
-        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
+        ekf.shift(Ix.EAST, east)
+        ekf.shift(Ix.NORTH, north)
+        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
         ekf.set_states(Ix.GNSS_SLOW_EAST, (0.0, 0.0))
-        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (2 * std, 2 * std, 2 * std_up))
-        ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (std, std, std_up))
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
         slow_m = self.memory.slow_m
         ekf.forget((Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH), (slow_m, slow_m))
+        up, std_up = ekf.state[Ix.GNSS_UP], self.memory.std_up_m
+        if abs(up) > HEAVY_SIGMA * std_up:
+            ekf.shift(Ix.UP, up)
+            ekf.reset(Ix.GNSS_UP, 0.0, std_up)
+            ekf.forget((Ix.UP,), (2 * std_up,))
         self.learned.forget()
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
