@@ -71,7 +71,7 @@ class Course:
         """Hold the filter to the way to a fix that it has just taken, or refused."""
         dt_s = (fix.stamp_ns - self.memory.stamp_ns) / S
         east, north, _ = antenna_l(fix, level)
-        std_mps = self._way(fix.stamp_ns, east, north, fixes.deviations(fix)[0])
+        std_mps = self._way(fix.stamp_ns, east, north, fixes.noise.deviations(fix)[0])
         if std_mps is None:
             return
         refused = not verdicts[0].accepted

@@ -1,12 +1,8 @@
 """GNSS fixes for the model `tram`: what they are worth, and what to do when they do not fit.
 
-Neighbouring fixes share their error (multipath, atmosphere), so it has states of its own, and the
-receiver's accuracy is its least size; how large it is and how long it lasts is learned
-(`fix_error.py`). What neighbours do not share counts by time, not by fix. Standing, the
-surroundings stand still too: the error then only walks, and a drift of the fixes does not move the
-vehicle. A fix that jumps is refused; if the jump stays, the error has jumped, not the vehicle; and
-if the error stays absurd over a good way, the vehicle was thought to be elsewhere and is taken
-where the fixes are.
+What their error is taken for says `fix_noise.py`. A fix that jumps is refused; if the jump stays,
+the error has jumped, not the vehicle; and if the error stays absurd over a good way, the vehicle
+was thought to be elsewhere and is taken where the fixes are.
 
 Equations: docs/theory.md, sections 6.3 and 7.6.
 """
@@ -40,29 +36,22 @@ from tramstream.processors.tram.events import (
     VELOCITY_REFUSED,
 )
 from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
+from tramstream.processors.tram.fix_noise import (
+    HEAVY_SIGMA,
+    WHITE_FLOOR_M,
+    WHITE_SHARE,
+    FixNoise,
+    FixNoiseMemory,
+    crowded,
+    error_of_fixes,
+)
 from tramstream.processors.tram_model.gnss_position import DOUBT_STD_M, GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.measurement import PAIR_GATE
-from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path
-_EAST, _NORTH, _SLOW_EAST, _SLOW_NORTH = (
-    int(each) for each in (Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH)
-)
-WHITE_SHARE = 0.1
-"""Part of the deviation that neighbouring fixes do not share."""
-WHITE_FLOOR_M = 0.01
-"""Noise of a carrier-phase fix, which neighbours do not share."""
-INDEPENDENT_S = 0.2
-"""Noise of fixes that are less apart is not new noise: a receiver filters its own; chosen by hand,
-guarded by `test_more_fixes_of_the_same_error_make_the_filter_no_surer`."""
-NEW_REGIME = 2.0
-"""Accuracy that changes by this factor is a new situation with an error of its own."""
-HEAVY_SIGMA = 2.5
-"""Beyond this the error is taken for larger than stated: its noise grows with it."""
 ABSORB_S = 8.0
 """Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
 first fix was as old, it was the first ones that were wrong."""
@@ -81,8 +70,6 @@ DIVERGED_S = 600.0
 VELOCITY_FLOOR_MPS = 0.03
 VELOCITY_STD_MPS = 0.5
 """Of one whose receiver says nothing of its accuracy."""
-STEP = 1.1
-"""What is learned of the error is told to the filter when it is off by this factor; by hand."""
 NEIGHBOURS_S = 3.0
 """Fixes that are less apart share most of their error; chosen by hand."""
 UNSHARED = 0.2
@@ -128,10 +115,7 @@ def doubts(fix: GnssFix, level: LocalLevel) -> list[Event]:
 class FixesMemory:
     """What `Fixes` remember."""
 
-    std_m: float = 0.0
-    """Of the present regime; 0 before the first fix."""
-    std_up_m: float = 0.0
-    """Of the last height."""
+    noise: FixNoiseMemory = field(default_factory=FixNoiseMemory)
     refused_ns: int = 0
     """Since when; 0 if the last was taken."""
     absurd_ns: int = 0
@@ -143,11 +127,6 @@ class FixesMemory:
     """Stamp of the last fix that was accepted."""
     taken_ns: list[int] = field(default_factory=list)
     """When the position was taken from the fixes."""
-    fast: float = 1.0
-    """Variance over the stated one that the error's state goes on with."""
-    slow_m: float = 0.0
-    """Deviation that the slow error's state began with; 0 before the first fix."""
-    learned: FixErrorMemory = field(default_factory=FixErrorMemory)
 
 
 def _refused(ekf: TramFilter, doubt: float) -> tuple[float, float]:
@@ -168,13 +147,7 @@ class Fixes:
         self.floor_m = gnss.error_floor_m if gnss else 0.005
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
-        self.learned = FixError(self.tau_s, self.memory.learned)
-
-    def deviations(self, fix: GnssFix) -> tuple[float, float]:
-        """Deviation of each horizontal axis and of the height, as far as it is known."""
-        std, std_up = deviations(fix, self.floor_m)
-        scale = self.learned.scale
-        return scale * std, scale * std_up
+        self.noise = FixNoise(self.tau_s, self.floor_m, self.memory.noise)
 
     @property
     def diverged(self) -> Event | None:
@@ -186,9 +159,8 @@ class Fixes:
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
         memory = self.memory
-        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-        self.learned.forget()
-        memory.std_m, memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0.0, 0, 0, 0.0
+        self.noise.renew(ekf)
+        memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0, 0, 0.0
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
@@ -196,12 +168,12 @@ class Fixes:
         """Apply a usable fix; the filter is at its stamp. Gives the verdicts, and what happened."""
         memory = self.memory
         std, std_up = deviations(fix, self.floor_m)
-        memory.begun_ns, memory.std_up_m = memory.begun_ns or fix.stamp_ns, std_up
-        self._set_noise(ekf, std, std_up)
+        memory.begun_ns = memory.begun_ns or fix.stamp_ns
+        self.noise.set(ekf, std, std_up)
         z = antenna_l(fix, level)
-        crowded = _crowded(fix.stamp_ns - memory.last_ns)
-        white = crowded * max(WHITE_SHARE * std, WHITE_FLOOR_M) ** 2
-        white_up = crowded * max(WHITE_SHARE * std_up, WHITE_FLOOR_M) ** 2
+        closeness = crowded(fix.stamp_ns - memory.last_ns)
+        white = closeness * max(WHITE_SHARE * std, WHITE_FLOOR_M) ** 2
+        white_up = closeness * max(WHITE_SHARE * std_up, WHITE_FLOOR_M) ** 2
         verdicts = ekf.apply(GnssPosition(z[0], z[1], white))
         found: list[Event] = []
         refused = not verdicts[0].accepted
@@ -209,7 +181,7 @@ class Fixes:
             off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
-        self._learn(fix.stamp_ns, ekf, verdicts, std)
+        self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
         verdicts += ekf.apply(GnssHeight(z[2], white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
@@ -222,7 +194,7 @@ class Fixes:
             measured = None
         if measured is not None:
             std_mps = _velocity_std(fix)
-            taken = ekf.apply(GnssVelocity(*measured, crowded * std_mps * std_mps))
+            taken = ekf.apply(GnssVelocity(*measured, closeness * std_mps * std_mps))
             verdicts += taken
             if not taken[0].accepted:
                 off_mps, limit_mps = _refused(ekf, 0.0)
@@ -235,69 +207,6 @@ class Fixes:
         memory.last_ns = fix.stamp_ns
         return verdicts, found
 
-    def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
-        memory, learned = self.memory, self.learned
-        fast, slow = std * math.sqrt(learned.fast), std * math.sqrt(learned.slow)
-        if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
-            if memory.std_m != 0.0:
-                ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (fast, fast, std_up))
-            if std < memory.std_m or memory.std_m == 0.0:  # a better receiver's own is another one
-                memory.slow_m = max(slow, std)
-                for state in (Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH):
-                    ekf.reset(state, 0.0, memory.slow_m)
-            memory.std_m = std
-        self._set_fast_error(ekf)
-        self._set_slow_error(ekf, slow)
-        east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
-        usual = HEAVY_SIGMA * max(fast, std)
-        heavy = max(1.0, (east * east + north * north) / (usual * usual))
-        heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
-        white = 1.0 - WHITE_SHARE**2
-        density = 2.0 * white * fast * fast * heavy / self.tau_s
-        up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
-        ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
-
-    def _set_fast_error(self, ekf: TramFilter) -> None:
-        """Let a place that fixes have given be as doubtful as they turn out to be."""
-        memory, fast = self.memory, self.learned.fast
-        if fast > STEP * memory.fast:
-            wider = math.sqrt(fast / memory.fast - 1.0)
-            for state, error in ((Ix.EAST, Ix.GNSS_EAST), (Ix.NORTH, Ix.GNSS_NORTH)):
-                ekf.exchange(state, error, wider * math.sqrt(ekf.variances[error]))
-        if not memory.fast / STEP < fast < memory.fast * STEP:
-            memory.fast = fast
-
-    def on_track(self, ekf: TramFilter, normal: tuple[float, float], variance_m2: float) -> None:
-        """Learn of the error that the fixes have across a track that the filter is held to."""
-        if self.memory.std_m > 0.0:
-            east, north = _error_m(ekf)
-            across_m = normal[0] * east + normal[1] * north
-            self.learned.see_across(ekf.stamp_ns, across_m, variance_m2, self.memory.std_m)
-
-    def _set_slow_error(self, ekf: TramFilter, slow_m: float) -> None:
-        """Let the slow error be as large as it is taken to be now, as if it always had been.
-
-        Of the fixes so far only the sum of place and error is known.
-        """
-        memory = self.memory
-        if slow_m > STEP * memory.slow_m:
-            wider = math.sqrt(slow_m * slow_m - memory.slow_m * memory.slow_m)
-            ekf.exchange(Ix.EAST, Ix.GNSS_SLOW_EAST, wider)
-            ekf.exchange(Ix.NORTH, Ix.GNSS_SLOW_NORTH, wider)
-            memory.slow_m = slow_m
-        elif slow_m * STEP < memory.slow_m:
-            ekf.apply(SlowError(1.0 / (1.0 / slow_m**2 - 1.0 / memory.slow_m**2)))
-            memory.slow_m = slow_m
-        ekf.set_slow_fix_error(1.0 / SLOW_TAU_S, 2.0 * memory.slow_m * memory.slow_m / SLOW_TAU_S)
-
-    def _learn(self, stamp_ns: int, ekf: TramFilter, verdicts: list[Verdict], std: float) -> None:
-        """Learn of the error that the fix has by the filter's place."""
-        east, north = _error_m(ekf)
-        if not verdicts[0].accepted:  # else the error's state has it
-            east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
-        self.learned.see(stamp_ns, east, north, std)
-
     def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
     ) -> list[Event]:
@@ -309,21 +218,21 @@ class Fixes:
         refused_s, memory.refused_ns = (stamp_ns - memory.refused_ns) / S, 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
         if young:
-            error = _error_m(ekf)
+            error = error_of_fixes(ekf)
             self._move(ekf, error[0] + east, error[1] + north, std)
             away_m = math.hypot(error[0] + east, error[1] + north)
             return [FIRST_FIXES_WRONG(key=_KEY, away_m=away_m)]
         for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
             error_m = ekf.state[slot] + innovation
             ekf.reset(slot, error_m, max(std, abs(error_m)))
-        error_m = math.hypot(*_error_m(ekf))
+        error_m = math.hypot(*error_of_fixes(ekf))
         return [ERROR_TAKEN(key=_KEY, refused_s=refused_s, error_m=error_m)]
 
     def move_to(self, verdicts: list[Verdict], ekf: TramFilter) -> None:
         """Let the place be where a fix is that was refused, by its verdicts."""
-        east, north = _error_m(ekf)
+        east, north = error_of_fixes(ekf)
         east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
-        self._move(ekf, east, north, self.memory.std_m)
+        self._move(ekf, east, north, self.memory.noise.std_m)
         self.memory.refused_ns = self.memory.absurd_ns = 0
 
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
@@ -336,14 +245,14 @@ class Fixes:
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
         ekf.set_states(Ix.GNSS_SLOW_EAST, (0.0, 0.0))
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
-        slow_m = self.memory.slow_m
+        slow_m = self.memory.noise.slow_m
         ekf.forget((Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH), (slow_m, slow_m))
-        up, std_up = ekf.state[Ix.GNSS_UP], self.memory.std_up_m
+        up, std_up = ekf.state[Ix.GNSS_UP], self.memory.noise.std_up_m
         if abs(up) > HEAVY_SIGMA * std_up:
             ekf.shift(Ix.UP, up)
             ekf.reset(Ix.GNSS_UP, 0.0, std_up)
             ekf.forget((Ix.UP,), (2 * std_up,))
-        self.learned.forget()
+        self.noise.restart()
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""
@@ -355,7 +264,7 @@ class Fixes:
     ) -> list[Event]:
         """Take the position where the fixes are when their error has been absurd for long."""
         memory = self.memory
-        east, north = _error_m(ekf)
+        east, north = error_of_fixes(ekf)
         error = math.hypot(east, north)
         if error < ABSURD_SIGMA * std:
             memory.absurd_ns, memory.absurd_m = 0, 0.0
@@ -376,17 +285,6 @@ class Fixes:
         self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)
         return [POSITION_TAKEN(key=_KEY, away_m=error, lasted_s=lasted_s)]
-
-
-def _error_m(ekf: TramFilter) -> tuple[float, float]:
-    """Error of the fixes as the filter has it, to the east and to the north."""
-    x = ekf.state
-    return x[_EAST] + x[_SLOW_EAST], x[_NORTH] + x[_SLOW_NORTH]
-
-
-def _crowded(since_ns: int) -> float:
-    """By how much less a fix tells than one that comes `INDEPENDENT_S` after the last one."""
-    return max(INDEPENDENT_S * S / since_ns, 1.0) if since_ns > 0 else 1.0
 
 
 def _velocity_std(fix: GnssFix) -> float:

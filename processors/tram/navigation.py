@@ -16,10 +16,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
 from tramstream.estimation.fixes import unusable
 from tramstream.estimation.kalman import Array
-from tramstream.estimation.localiser import (
-    Learned,
-    Verdict,
-)
+from tramstream.estimation.localiser import Learned, Verdict
 from tramstream.estimation.records import numbers, one
 from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailMemory
 from tramstream.events.kinds import Event
@@ -337,7 +334,7 @@ class Navigation:
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
         memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
-        self.fixes.on_track(ekf, n, told.across_variance)
+        self.fixes.noise.on_track(ekf, n, told.across_variance)
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
         memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
@@ -373,7 +370,7 @@ class Navigation:
 
     def accuracies_m(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of a fix on each horizontal axis, and of its height."""
-        return self.fixes.deviations(fix)
+        return self.fixes.noise.deviations(fix)
 
     # Memory --------------------------------------------------------------------------------------
     def mark(self) -> None:
