@@ -11,15 +11,18 @@ Equations: docs/theory.md, section 7.7.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
+from tramstream.estimation.records import Records
 from tramstream.processors.tram.filter import SPEED, TramFilter
 from tramstream.processors.tram.modes import BRIDGED_S, Drive
-from tramstream.processors.tram_model.records import READING_S, situation
+from tramstream.processors.tram_model.records import READING_S, X, Y, Z, situation
+from tramstream.processors.tram_model.states import Ix
 
 SPEED_STD_MPS_RTS = 1.5
 """How the speed may change unseen: 5 m/s within ten seconds."""
@@ -70,6 +73,20 @@ class MotionNoise:
         """Go on with the readings on either side of a pause: they tell the less, the longer."""
         longer = (pause_s / BRIDGED_S) ** 2
         self._tell(ekf, Drive.BRIDGED, self._inertial + longer * self._bridged)
+
+    def follow_line(self, ekf: TramFilter, between: Records) -> None:
+        """Go on with readings that were drawn straight through a gap: their turn is what leads.
+
+        Either end is one reading of a case that shakes. It tells how the vehicle turns, which is
+        much, and not how it nods or brakes.
+        """
+        x, rate = ekf.state, between["angular_rate"][0]
+        turn = float(rate[Z]) - x[Ix.GYRO_Z]
+        # Roll and pitch stay: a body that leans and turns has rates about all its axes.
+        rate[Y] = x[Ix.GYRO_Y] + math.tan(x[Ix.ROLL]) * turn
+        rate[X] = x[Ix.GYRO_X] - math.tan(x[Ix.PITCH]) / math.cos(x[Ix.ROLL]) * turn
+        between["angular_acceleration"], between["accelerometer"] = 0.0, 0.0
+        self._tell(ekf, Drive.BRIDGED, self._bridged)
 
     def coast(self, ekf: TramFilter) -> None:
         """Go on with nothing that tells of the motion."""

@@ -117,6 +117,14 @@ IMPOSSIBLE_READING = define(
     cure="look at the device imu and its mounting",
     key=str,
 )
+DRAWN_STRAIGHT = define(
+    "tram.drawn_straight",
+    "{key}: the readings lie on straight lines; they were lost, and are believed as little",
+    cause="Samples were lost, and whoever recorded them has drawn lines through the gap. Heading "
+    "and speed may change unseen as in a pause.",
+    cure="let the logger leave out what it has lost",
+    key=str,
+)
 ASTRAY = define(
     "tram.astray",
     "{key}: a measurement was left out, it is {off_s} off its frame's time, limit {limit_s}",

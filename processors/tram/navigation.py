@@ -25,7 +25,7 @@ from tramstream.memory.stage import assign, copied
 from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
 from tramstream.processors.tram.course import Course, CourseMemory
 from tramstream.processors.tram.estimate import learned
-from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
+from tramstream.processors.tram.events import ASTRAY, DRAWN_STRAIGHT, IMPOSSIBLE_READING
 from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
 from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import (
@@ -39,6 +39,7 @@ from tramstream.processors.tram.modes import (
 from tramstream.processors.tram.start import first_deviations
 from tramstream.processors.tram.wheels import PairMemory, WheelPair
 from tramstream.processors.tram_model import axes
+from tramstream.processors.tram_model.axes import STRAIGHT_READINGS
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
@@ -128,7 +129,7 @@ class Navigation:
         self._course = Course(self.fixes.tau_s, memory.course)
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
         self._shaking: Array = self.inertial["shaking_variance"][0]
-        self._now = self.inertial["now"]
+        self._now, self._straight = self.inertial["now"], self.inertial["straight"].data
         self.complaints: list[Event] = []
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
@@ -182,6 +183,11 @@ class Navigation:
             self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
             return False
         memory.read_ns = stamp_ns
+        if drive is Drive.INERTIAL and self._straight[0] >= STRAIGHT_READINGS:
+            found = [DRAWN_STRAIGHT(key=keys.IMU_BATCH.path)]
+            self.complaints += found if self._straight[0] == STRAIGHT_READINGS else []
+            self._noise.follow_line(self.ekf, self.inertial["between"])
+            return False  # it proves nothing
         if drive is Drive.INERTIAL:
             self._noise.inertial(self.ekf, self._shaking)
         elif drive is Drive.BRIDGED:
@@ -200,15 +206,12 @@ class Navigation:
     def _read_rate(self, reading: Odometry) -> None:
         """Let the bus' own yaw rate stand for a gyroscope."""
         # The bias that the filter knows is not that of this sensor, where there is an IMU.
-        memory = self.memory
-        bias = self.ekf.state[GYRO_Z] if self._has_imu else 0.0
+        memory, bias = self.memory, self.ekf.state[GYRO_Z] if self._has_imu else 0.0
         for held in ("now", "between"):
             self._hold(held)
             self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
-        interval_s = None
-        if memory.rate_ns:
-            interval_s = min(max((reading.stamp_ns - memory.rate_ns) / S, 0.01), 1.0)
-        self._noise.yaw_rate(self.ekf, interval_s)
+        interval_s = min(max((reading.stamp_ns - memory.rate_ns) / S, 0.01), 1.0)
+        self._noise.yaw_rate(self.ekf, interval_s if memory.rate_ns else None)
         memory.rate_ns = reading.stamp_ns
 
     # One frame -----------------------------------------------------------------------------------

@@ -27,6 +27,12 @@ STEADY_S = 0.5
 """Time constant of the rates that a row of H is made of; chosen by hand."""
 SHAKING_S = 0.3
 """Time constant of what neighbouring rates differ by: a pothole is over after so long."""
+STRAIGHT_READINGS = 8.0
+"""So many readings in a row on one straight line were not measured: a logger has drawn them through
+a gap. The noise of a sensor leaves the line with the first; chosen by hand, guarded by
+`tests/processors/tram/test_tram_gaps.py`."""
+_BEND, _RATE_BEND_RADPS, _FORCE_BEND_MPS2 = 0.02, 2e-5, 3e-3
+_LEAST_STEPS = 5.0
 _OF_MOTION = localiser.COVARIANCE
 _MOVED = columns_of(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
 
@@ -74,6 +80,10 @@ def take_reading(
     if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
         return False
     i = inertial.view(INERTIAL)[0]
+    for k in range(3):  # `between` is scratch here: the readings before are needed yet
+        i.between.angular_rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
+        i.between.specific_force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
+    i.straight = i.straight + 1.0 if _goes_straight_on(i) else 0.0
     i.before = i.now
     now = i.now
     for k in range(3):
@@ -88,6 +98,28 @@ def take_reading(
             i.shaking_variance[k] = 0.0
     _smooth(i, dt)
     return True
+
+
+@compiled
+def _goes_straight_on(i: Inertial) -> bool:
+    """Whether the new reading, in `between`, lies on the line through the two before it.
+
+    All six axes do but for rounding, and one of them changes: what gives the same number again and
+    again is no line.
+    """
+    changes = False
+    for k in range(3):
+        new, now = i.between.angular_rate[k], i.now.angular_rate[k]
+        step = abs(new - now)
+        if not abs(new - 2.0 * now + i.before.angular_rate[k]) <= _BEND * step + _RATE_BEND_RADPS:
+            return False
+        changes = changes or step > _LEAST_STEPS * _RATE_BEND_RADPS
+        new, now = i.between.specific_force[k], i.now.specific_force[k]
+        step = abs(new - now)
+        if not abs(new - 2.0 * now + i.before.specific_force[k]) <= _BEND * step + _FORCE_BEND_MPS2:
+            return False
+        changes = changes or step > _LEAST_STEPS * _FORCE_BEND_MPS2
+    return changes
 
 
 @compiled

@@ -116,6 +116,8 @@ class Inertial(Protocol):
     """Of a rate, by what neighbouring readings differ, (rad/s)²."""
     steady_rate: Annotated[Array, (3,)]
     """Smoothed angular rates up to the reading before, for rows of H, rad/s."""
+    straight: float
+    """Readings in a row of which each lies on the straight line through the two before it."""
 
 
 class Memory(Protocol):
