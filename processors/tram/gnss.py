@@ -27,6 +27,7 @@ from tramstream.estimation.fixes import (
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
+from tramstream.processors.tram.divergence import Heard, Offset
 from tramstream.processors.tram.events import (
     ACCURACY_UNSTATED,
     ERROR_TAKEN,
@@ -53,6 +54,9 @@ NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
+HEAVIEST = 100.0
+"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
+tell anything; chosen by hand."""
 ABSORB_S = 8.0
 """Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
 first fix was as old, it was the first ones that were wrong."""
@@ -149,6 +153,8 @@ class Fixes:
         self.floor_m = gnss.error_floor_m if gnss else 0.005
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
+        self.heard: Heard | None = None
+        """What became of the last fix, for whoever judges the filter at once."""
 
     @property
     def diverged(self) -> Event | None:
@@ -189,11 +195,14 @@ class Fixes:
         else:
             memory.refused_ns = 0
         measured = None if standing else velocity_l(fix, level)
+        velocity, accepted = None, False
         if measured is not None:
             std_mps = _velocity_std(fix)
             taken = ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
             verdicts += taken
-            if not taken[0].accepted:
+            accepted = taken[0].accepted
+            if not accepted:
+                velocity = Offset(taken[0].innovation, taken[1].innovation, std_mps)
                 off_mps, limit_mps = _refused(ekf, 0.0)
                 facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
@@ -202,6 +211,8 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
+        off_m = verdicts[0].innovation, verdicts[1].innovation
+        self.heard = Heard(fix.stamp_ns, std, refused, off_m, velocity, accepted)
         return verdicts, found
 
     def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
@@ -212,8 +223,10 @@ class Fixes:
             ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (std, std, std_up))
             memory.std_m = std
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
-        heavy = max(1.0, (east * east + north * north) / (HEAVY_SIGMA * std) ** 2)
-        heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        heavy = (east * east + north * north) / (HEAVY_SIGMA * std) ** 2
+        heavy, heavy_up = (
+            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        )
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * std * std * heavy / self.tau_s
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
@@ -246,6 +259,13 @@ class Fixes:
         ekf.shift(Ix.NORTH, north)
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
+
+    def take_place(self, ekf: TramFilter, heard: Heard) -> None:
+        """Let the place of a filter that was wrong be where the last fix is."""
+        east, north = heard.off_m if heard.refused else (0.0, 0.0)
+        error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
+        self._move(ekf, error[0] + east, error[1] + north, heard.std_m)
+        self.memory.refused_ns = self.memory.absurd_ns = 0
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""

@@ -172,6 +172,15 @@ class Standstill:
         """Last speed that GNSS measured; 0 if it never has."""
         return self._gnss_mps if math.isfinite(self._gnss_mps) else 0.0
 
+    def fast_s(self, stamp_ns: int) -> float:
+        """For how long GNSS has seen a fast vehicle; 0 if it does not."""
+        heard = self._gnss_ns and stamp_ns - self._gnss_ns < GNSS_AGE_S * S
+        return (self._gnss_ns - self._fast_ns) / S if heard else 0.0
+
+    def leave_wheels(self, stamp_ns: int) -> None:
+        """Do without wheels, which were found dead: the vehicle does not stand as they say."""
+        self._wheel_ns, self._quiet_ns = 0, stamp_ns
+
     def wheels(self, stamp_ns: int, turned: bool) -> None:
         """Take a reading of the wheels."""
         if turned or stamp_ns - self._wheel_ns > WHEELS_STILL_S * S:
