@@ -170,6 +170,27 @@ FIXES_FROZEN = define(
     gone_m=float,
     limit_m=float,
 )
+FIXES_JUMPED = define(
+    "tram.fixes_jumped",
+    "{key}: fixes have been {off_m} off for {lasted_s}, limit {limit_m}, and came there at once; "
+    "they are left out",
+    cause="No vehicle jumps: the receiver is spoofed, or its fixes come from elsewhere. The filter "
+    "goes on without them for as long as it has followed them before, ten minutes at most.",
+    cure="look at the receiver's own word on spoofing",
+    severity=ERROR,
+    key=str,
+    off_m=float,
+    limit_m=float,
+    lasted_s=float,
+)
+FIXES_BACK = define(
+    "tram.fixes_back",
+    "{key}: fixes are back where the vehicle is, after {lasted_s}; they are used",
+    cause="They had jumped away.",
+    severity=INFO,
+    key=str,
+    lasted_s=float,
+)
 WHEELS_LIED = define(
     "tram.wheels_lied",
     "the vehicle has moved for {still_s} while no wheel turned; place and heading are sought anew",

@@ -33,6 +33,8 @@ from tramstream.processors.tram.events import (
     ERROR_TAKEN,
     FIRST_FIXES_WRONG,
     FIX_REFUSED,
+    FIXES_BACK,
+    FIXES_JUMPED,
     IMPOSSIBLE_VELOCITY,
     NO_HOPE,
     POSITION_TAKEN,
@@ -50,6 +52,15 @@ WHITE_SHARE = 0.1
 """Part of the deviation that neighbouring fixes do not share."""
 WHITE_FLOOR_M = 0.01
 """Noise of a carrier-phase fix, which neighbours do not share."""
+JUMP_M = 30.0
+"""Fixes that jump by more, from one to the next, are not of multipath; chosen by hand."""
+JUMP_PAUSE_S = 5.0
+"""After a longer pause it may be the filter that was elsewhere; chosen by hand."""
+JUMP_TRUST_S, JUMP_HELD_S = 60.0, 600.0
+"""Who has followed fixes for the first of these does not follow a jump of theirs, for as long as it
+has followed them, and no longer than the second; chosen by hand."""
+JUMP_SAID_S = 1.0
+"""A jump that lasts so long is said; chosen by hand."""
 NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
@@ -124,6 +135,8 @@ class FixesMemory:
     """Of the present regime; 0 before the first fix."""
     refused_ns: int = 0
     """Since when; 0 if the last was taken."""
+    jumped_ns: int = 0
+    """Since when fixes are elsewhere at once; 0 if they are not."""
     absurd_ns: int = 0
     absurd_m: float = 0.0
     begun_ns: int = 0
@@ -168,6 +181,7 @@ class Fixes:
         memory = self.memory
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
         memory.std_m, memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0.0, 0, 0, 0.0
+        memory.jumped_ns = 0
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
@@ -191,9 +205,12 @@ class Fixes:
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
-            found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
+            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, std)
         else:
-            memory.refused_ns = 0
+            if memory.jumped_ns:
+                lasted_s = (fix.stamp_ns - memory.jumped_ns) / S
+                found.append(FIXES_BACK(key=_KEY, lasted_s=lasted_s))
+            memory.refused_ns = memory.jumped_ns = 0
         measured = None if standing else velocity_l(fix, level)
         velocity, accepted = None, False
         if measured is not None:
@@ -232,6 +249,26 @@ class Fixes:
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
         ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
 
+    def _refuse(
+        self, stamp_ns: int, off_m: float, verdicts: list[Verdict], ekf: TramFilter, std: float
+    ) -> list[Event]:
+        """Find out whose fault a refused fix is: of one that has jumped, its own."""
+        memory = self.memory
+        followed_s = (stamp_ns - memory.begun_ns) / S
+        if memory.refused_ns == 0 and off_m > JUMP_M and followed_s > JUMP_TRUST_S:
+            pause_s = (stamp_ns - memory.accepted_ns) / S
+            memory.jumped_ns = stamp_ns if pause_s < JUMP_PAUSE_S else 0
+        if memory.jumped_ns == 0:
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        lasted_s = (stamp_ns - memory.jumped_ns) / S
+        if lasted_s > min(followed_s - lasted_s, JUMP_HELD_S):
+            memory.jumped_ns = 0
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        memory.refused_ns = stamp_ns
+        if lasted_s < JUMP_SAID_S:
+            return []
+        return [FIXES_JUMPED(key=_KEY, off_m=off_m, limit_m=JUMP_M, lasted_s=lasted_s)]
+
     def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
     ) -> list[Event]:
@@ -260,12 +297,17 @@ class Fixes:
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
 
+    def unexplained_m(self, ekf: TramFilter) -> float:
+        """How far fixes are from a vehicle that is taken to stand, beyond what they err."""
+        off_m = math.hypot(ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH])
+        return max(0.0, off_m - HEAVY_SIGMA * self.memory.std_m)
+
     def take_place(self, ekf: TramFilter, heard: Heard) -> None:
         """Let the place of a filter that was wrong be where the last fix is."""
         east, north = heard.off_m if heard.refused else (0.0, 0.0)
         error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
         self._move(ekf, error[0] + east, error[1] + north, heard.std_m)
-        self.memory.refused_ns = self.memory.absurd_ns = 0
+        self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""

@@ -43,8 +43,6 @@ UNSEEN_MPS = 15.0
 LATELY_S = 5.0
 """A vehicle whose wheels were found dead, and that was taken to stand so lately, has moved unseen;
 chosen by hand, guarded by `tests/processors/tram/test_liveness.py`."""
-UNSEEN_M = 2.0
-"""Way on which a vehicle reaches the speed that GNSS takes for motion: 1 m/s² to 2 m/s."""
 HEARD_S = 0.5
 """Wheels read within so long tell how far the vehicle has come."""
 BACK_S = 5.0
@@ -324,10 +322,11 @@ class TramLocaliser:
         memory, running = self.memory, self.memory.phase is Phase.RUNNING
         mode = navigation.mode(memory.stamp_ns) if running else HEADING_UNKNOWN
         estimate = navigation.ekf.estimate(memory.stamp_ns, mode, standing, verdicts)
-        fast_s = self._standstill.fast_s(memory.stamp_ns) if standing else 0.0
-        if fast_s > 0.0:
-            moving_mps = self._standstill.speed_over_ground_mps
-            estimate = estimates.doubted(estimate, UNSEEN_M + moving_mps * fast_s, moving_mps)
+        if standing:
+            way_m, mps = self._standstill.unseen(memory.stamp_ns)
+            way_m = max(way_m, navigation.fixes.unexplained_m(navigation.ekf))
+            if way_m > 0.0:
+                estimate = estimates.doubted(estimate, way_m, mps)
         if running:
             return estimate
         fix = memory.last_fix
