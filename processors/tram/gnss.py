@@ -68,6 +68,8 @@ HEAVY_SIGMA = 2.5
 HEAVIEST = 100.0
 """... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
 tell anything; chosen by hand."""
+UNEXPLAINED_SIGMA = 2.0
+"""Fixes that are further from a vehicle that stands cast doubt on that; chosen by hand."""
 ABSORB_S = 8.0
 """Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
 first fix was as old, it was the first ones that were wrong."""
@@ -300,7 +302,7 @@ class Fixes:
     def unexplained_m(self, ekf: TramFilter) -> float:
         """How far fixes are from a vehicle that is taken to stand, beyond what they err."""
         off_m = math.hypot(ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH])
-        return max(0.0, off_m - HEAVY_SIGMA * self.memory.std_m)
+        return max(0.0, off_m - UNEXPLAINED_SIGMA * self.memory.std_m)
 
     def take_place(self, ekf: TramFilter, heard: Heard) -> None:
         """Let the place of a filter that was wrong be where the last fix is."""
