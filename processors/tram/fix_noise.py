@@ -36,6 +36,9 @@ NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
+HEAVIEST = 100.0
+"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
+tell anything; chosen by hand."""
 STEP = 1.1
 """What is learned of the error is told to the filter when it is off by this factor; by hand."""
 
@@ -77,6 +80,11 @@ class FixNoise:
         scale = self._learned.scale
         return scale * std, scale * std_up
 
+    @property
+    def std_m(self) -> float:
+        """Deviation of a horizontal axis, as far as it is known."""
+        return self._learned.scale * self.memory.std_m
+
     def renew(self, ekf: TramFilter) -> None:
         """Take the error for another one from here on."""
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
@@ -102,8 +110,10 @@ class FixNoise:
         self._set_slow_error(ekf, memory.std_m * math.sqrt(learned.slow))
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
-        heavy = max(1.0, (east * east + north * north) / (usual * usual))
-        heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        heavy = (east * east + north * north) / (usual * usual)
+        heavy, heavy_up = (
+            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        )
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * fast * fast * heavy / self._tau_s
         up_density = 2.0 * white * std_up * std_up * heavy_up / self._tau_s

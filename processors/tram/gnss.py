@@ -25,11 +25,14 @@ from tramstream.estimation.fixes import (
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
+from tramstream.processors.tram.divergence import Heard, Offset
 from tramstream.processors.tram.events import (
     ACCURACY_UNSTATED,
     ERROR_TAKEN,
     FIRST_FIXES_WRONG,
     FIX_REFUSED,
+    FIXES_BACK,
+    FIXES_JUMPED,
     IMPOSSIBLE_VELOCITY,
     NO_HOPE,
     POSITION_TAKEN,
@@ -52,6 +55,17 @@ from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path
+JUMP_M = 30.0
+"""Fixes that jump by more, from one to the next, are not of multipath; chosen by hand."""
+JUMP_PAUSE_S = 5.0
+"""After a longer pause it may be the filter that was elsewhere; chosen by hand."""
+JUMP_TRUST_S, JUMP_HELD_S = 60.0, 600.0
+"""Who has followed fixes for the first of these does not follow a jump of theirs, for as long as it
+has followed them, and no longer than the second; chosen by hand."""
+JUMP_SAID_S = 1.0
+"""A jump that lasts so long is said; chosen by hand."""
+UNEXPLAINED_SIGMA = 2.0
+"""Fixes that are further from a vehicle that stands cast doubt on that; chosen by hand."""
 ABSORB_S = 8.0
 """Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
 first fix was as old, it was the first ones that were wrong."""
@@ -118,6 +132,8 @@ class FixesMemory:
     noise: FixNoiseMemory = field(default_factory=FixNoiseMemory)
     refused_ns: int = 0
     """Since when; 0 if the last was taken."""
+    jumped_ns: int = 0
+    """Since when fixes are elsewhere at once; 0 if they are not."""
     absurd_ns: int = 0
     absurd_m: float = 0.0
     begun_ns: int = 0
@@ -148,6 +164,8 @@ class Fixes:
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
         self.noise = FixNoise(self.tau_s, self.floor_m, self.memory.noise)
+        self.heard: Heard | None = None
+        """What became of the last fix, for whoever judges the filter at once."""
 
     @property
     def diverged(self) -> Event | None:
@@ -161,6 +179,7 @@ class Fixes:
         memory = self.memory
         self.noise.renew(ekf)
         memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0, 0, 0.0
+        memory.jumped_ns = 0
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
@@ -186,17 +205,23 @@ class Fixes:
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
-            found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
+            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, std)
         else:
-            memory.refused_ns = 0
+            if memory.jumped_ns:
+                lasted_s = (fix.stamp_ns - memory.jumped_ns) / S
+                found.append(FIXES_BACK(key=_KEY, lasted_s=lasted_s))
+            memory.refused_ns = memory.jumped_ns = 0
         measured = None if standing else velocity_l(fix, level)
         if measured == (0.0, 0.0):  # no moving antenna measures that: the receiver holds its place
             measured = None
+        velocity, accepted = None, False
         if measured is not None:
             std_mps = _velocity_std(fix)
             taken = ekf.apply(GnssVelocity(*measured, closeness * std_mps * std_mps))
             verdicts += taken
-            if not taken[0].accepted:
+            accepted = taken[0].accepted
+            if not accepted:
+                velocity = Offset(taken[0].innovation, taken[1].innovation, std_mps)
                 off_mps, limit_mps = _refused(ekf, 0.0)
                 facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
@@ -205,7 +230,29 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
+        off_m = verdicts[0].innovation, verdicts[1].innovation
+        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, off_m, velocity, accepted)
         return verdicts, found
+
+    def _refuse(
+        self, stamp_ns: int, off_m: float, verdicts: list[Verdict], ekf: TramFilter, std: float
+    ) -> list[Event]:
+        """Find out whose fault a refused fix is: of one that has jumped, its own."""
+        memory = self.memory
+        followed_s = (stamp_ns - memory.begun_ns) / S
+        if memory.refused_ns == 0 and off_m > JUMP_M and followed_s > JUMP_TRUST_S:
+            pause_s = (stamp_ns - memory.accepted_ns) / S
+            memory.jumped_ns = stamp_ns if pause_s < JUMP_PAUSE_S else 0
+        if memory.jumped_ns == 0:
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        lasted_s = (stamp_ns - memory.jumped_ns) / S
+        if lasted_s > min(followed_s - lasted_s, JUMP_HELD_S):
+            memory.jumped_ns = 0
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        memory.refused_ns = stamp_ns
+        if lasted_s < JUMP_SAID_S:
+            return []
+        return [FIXES_JUMPED(key=_KEY, off_m=off_m, limit_m=JUMP_M, lasted_s=lasted_s)]
 
     def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
@@ -233,7 +280,7 @@ class Fixes:
         east, north = error_of_fixes(ekf)
         east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
         self._move(ekf, east, north, self.memory.noise.std_m)
-        self.memory.refused_ns = self.memory.absurd_ns = 0
+        self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
 
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
         """Let the position be elsewhere, where fixes without an error would have it.
@@ -253,6 +300,18 @@ class Fixes:
             ekf.reset(Ix.GNSS_UP, 0.0, std_up)
             ekf.forget((Ix.UP,), (2 * std_up,))
         self.noise.restart()
+
+    def unexplained_m(self, ekf: TramFilter) -> float:
+        """How far fixes are from a vehicle that is taken to stand, beyond what they err."""
+        off_m = math.hypot(*error_of_fixes(ekf))
+        return max(0.0, off_m - UNEXPLAINED_SIGMA * self.noise.std_m)
+
+    def take_place(self, ekf: TramFilter, heard: Heard) -> None:
+        """Let the place of a filter that was wrong be where the last fix is."""
+        east, north = heard.off_m if heard.refused else (0.0, 0.0)
+        error = error_of_fixes(ekf)
+        self._move(ekf, error[0] + east, error[1] + north, heard.std_m)
+        self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""

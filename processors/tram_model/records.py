@@ -118,6 +118,18 @@ class Inertial(Protocol):
     """Smoothed angular rates up to the reading before, for rows of H, rad/s."""
     straight: float
     """Readings in a row of which each lies on the straight line through the two before it."""
+    read: Annotated[Array, (6,)]
+    """The newest reading as the case gave it: rates, rad/s, and specific forces, m/s²."""
+    repeats: Annotated[Array, (6,)]
+    """How often in a row each axis has given the same number again."""
+    varied: Annotated[Array, (6,)]
+    """How often each axis has given another number than before."""
+    longest: Annotated[Array, (6,)]
+    """Most repeats in a row that each axis has ended by itself."""
+    stuck: float
+    """1 while an axis is taken not to live, and until all have lived for a while; else 0."""
+    lived: float
+    """Readings in a row in which all axes live, while `stuck`."""
 
 
 class Memory(Protocol):
