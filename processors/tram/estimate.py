@@ -55,6 +55,15 @@ def of_values(
     return Estimate(stamp_ns, mode, values, standing, verdicts)
 
 
+def doubted(estimate: Estimate, way_m: float, speed_mps: float) -> Estimate:
+    """Say of a vehicle that stands by its wheels, and moves by GNSS, that either may be true."""
+    said = replace(estimate, values=estimate.values.copy())
+    covariance = said.covariance
+    for axis, off in ((0, way_m), (1, way_m), (Ix.SPEED, speed_mps)):
+        covariance[axis, axis] += off * off
+    return said
+
+
 def without_heading(
     estimate: Estimate, lever_arm_m: Sequence[float], of_antenna: bool = True
 ) -> Estimate:

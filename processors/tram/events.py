@@ -8,7 +8,7 @@ measurement is taken to err is set, and named by each kind.
 
 from __future__ import annotations
 
-from tramstream.events.kinds import DEBUG, ERROR, define
+from tramstream.events.kinds import DEBUG, ERROR, INFO, define
 
 FIX_REFUSED = define(
     "tram.fix_refused",
@@ -117,6 +117,96 @@ IMPOSSIBLE_READING = define(
     cure="look at the device imu and its mounting",
     key=str,
 )
+DRAWN_STRAIGHT = define(
+    "tram.drawn_straight",
+    "{key}: the readings lie on straight lines; they were lost, and are believed as little",
+    cause="Samples were lost, and whoever recorded them has drawn lines through the gap. Heading "
+    "and speed may change unseen as in a pause.",
+    cure="let the logger leave out what it has lost",
+    key=str,
+)
+IMU_STUCK = define(
+    "tram.imu_stuck",
+    "{key}: {axis} has given {value} for {readings} readings; the IMU is left out",
+    cause="A sensor that lives never gives the same number for long: it is stuck, at the end of "
+    "its range, or dead. The filter goes on as without an IMU.",
+    cure="look at the device imu; power it off and on",
+    severity=ERROR,
+    key=str,
+    axis=str,
+    value=float,
+    readings=int,
+)
+IMU_LIVES = define(
+    "tram.imu_lives",
+    "{key}: all axes of the IMU live again; it is used",
+    cause="It was left out as stuck, and its numbers have changed for a second.",
+    severity=INFO,
+    key=str,
+)
+WHEEL_DEAD = define(
+    "tram.wheel_dead",
+    "{key}: the counter of wheel {wheel} has stood for {still_s}, in which the other wheel went "
+    "{others_m} and GNSS saw a fast vehicle for {fast_s}; it is left out",
+    cause="A sensor or its cable is broken, or its gateway repeats the last value. The filter goes "
+    "on as without that wheel.",
+    cure="look at the wheel's sensor and its signal in the DBC",
+    severity=ERROR,
+    key=str,
+    wheel=str,
+    still_s=float,
+    others_m=float,
+    fast_s=float,
+)
+WHEEL_LIVES = define(
+    "tram.wheel_lives",
+    "{key}: the counter of wheel {wheel} changes again; it is used",
+    cause="It was left out as dead.",
+    severity=INFO,
+    key=str,
+    wheel=str,
+)
+FIXES_FROZEN = define(
+    "tram.fixes_frozen",
+    "{key}: fixes have stayed at one place for {still_s}, in which the vehicle went {gone_m}, "
+    "limit {limit_m}; they are left out",
+    cause="The receiver, or whoever hands its fixes on, repeats the last one and calls it valid.",
+    cure="look at the receiver; power it off and on",
+    severity=ERROR,
+    key=str,
+    still_s=float,
+    gone_m=float,
+    limit_m=float,
+)
+FIXES_JUMPED = define(
+    "tram.fixes_jumped",
+    "{key}: fixes have been {off_m} off for {lasted_s}, limit {limit_m}, and came there at once; "
+    "they are left out",
+    cause="No vehicle jumps: the receiver is spoofed, or its fixes come from elsewhere. The filter "
+    "goes on without them for as long as it has followed them before, ten minutes at most.",
+    cure="look at the receiver's own word on spoofing",
+    severity=ERROR,
+    key=str,
+    off_m=float,
+    limit_m=float,
+    lasted_s=float,
+)
+FIXES_BACK = define(
+    "tram.fixes_back",
+    "{key}: fixes are back where the vehicle is, after {lasted_s}; they are used",
+    cause="They had jumped away.",
+    severity=INFO,
+    key=str,
+    lasted_s=float,
+)
+WHEELS_LIED = define(
+    "tram.wheels_lied",
+    "the vehicle has moved for {still_s} while no wheel turned; place and heading are sought anew",
+    cause="All wheels were dead at a departure, which was taken for a stop.",
+    cure="look at the vehicle bus and the wheels' sensors",
+    severity=ERROR,
+    still_s=float,
+)
 ASTRAY = define(
     "tram.astray",
     "{key}: a measurement was left out, it is {off_s} off its frame's time, limit {limit_s}",
@@ -159,6 +249,29 @@ FIRST_FIXES_WRONG = define(
     cause="Receivers invent their first fixes when they are switched on in a hall.",
     key=str,
     away_m=float,
+)
+FILTER_WRONG = define(
+    "tram.filter_wrong",
+    "{sources} have contradicted the filter alike for {refused_s}; heading ({heading_off_rad}) and "
+    "speed ({speed_off_mps}) are taken from them",
+    cause="The filter was led astray: an IMU whose errors have changed, a slip that was believed. "
+    "What several sources say together is not the fault of each.",
+    cure="if it comes again, check $.imu.mounting_deg, $.wheels.m_per_pulse and the IMU",
+    sources=str,
+    refused_s=float,
+    heading_off_rad=float,
+    speed_off_mps=float,
+)
+IMU_CONTRADICTED = define(
+    "tram.imu_contradicted",
+    "the filter was wrong {times} times within {within_s}; the IMU is left out for {left_out_s}",
+    cause="Fixes and wheels agree, and the IMU says something else: it is mounted otherwise than "
+    "configured, its units are wrong, or it is broken.",
+    cure="check $.imu.mounting_deg and the scales of $.imu",
+    severity=ERROR,
+    times=int,
+    within_s=float,
+    left_out_s=float,
 )
 POSITION_TAKEN = define(
     "tram.position_taken",

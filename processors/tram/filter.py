@@ -74,7 +74,7 @@ class FilterMemory:
 
 
 class TramFilter:
-    """x (28, 1) and P (28, 28) of the model `tram`.
+    """x (30, 1) and P (30, 30) of the model `tram`.
 
     Parameters
     ----------
@@ -297,6 +297,13 @@ class TramFilter:
         """Add to a state's uncertainty; what others know of it stays."""
         self._P[state, state] += std * std
 
+    def exchange(self, state: Ix, other: Ix, std: float) -> None:
+        """Take that so much may belong to one state rather than to the other: their sum stays."""
+        for k in (state, other):
+            self._P[k, k] += std * std
+        self._P[state, other] -= std * std
+        self._P[other, state] -= std * std
+
     def shift(self, state: Ix, by: float) -> None:
         """Add to a state; its uncertainty stays."""
         self._x[state] += by
@@ -353,6 +360,10 @@ class TramFilter:
         """Set how the error of the fixes goes on; see `records.Situation`."""
         s = self.situation
         s["fix_decay"], s["fix_density"], s["fix_up_density"] = decay, density, up_density
+
+    def set_slow_fix_error(self, decay: float, density: float) -> None:
+        """Set how the part of it that lasts for minutes goes on; see `records.Situation`."""
+        self.situation["slow_decay"], self.situation["slow_density"] = decay, density
 
     def set_wheel(self, wheel: int, offset_m: float) -> None:
         """Set how far a wheel stands to the left of the axis."""

@@ -1,10 +1,8 @@
 """GNSS fixes for the model `tram`: what they are worth, and what to do when they do not fit.
 
-Neighbouring fixes share their error (multipath, atmosphere), so it has states of its own, and the
-receiver's accuracy is its least size. Standing, the surroundings stand still too: the error then
-only walks, and a drift of the fixes does not move the vehicle. A fix that jumps is refused; if the
-jump stays, the error has jumped, not the vehicle; and if the error stays absurd over a good way,
-the vehicle was thought to be elsewhere and is taken where the fixes are.
+What their error is taken for says `fix_noise.py`. A fix that jumps is refused; if the jump stays,
+the error has jumped, not the vehicle; and if the error stays absurd over a good way, the vehicle
+was thought to be elsewhere and is taken where the fixes are.
 
 Equations: docs/theory.md, sections 6.3 and 7.6.
 """
@@ -27,17 +25,29 @@ from tramstream.estimation.fixes import (
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
+from tramstream.processors.tram.divergence import Heard, Offset
 from tramstream.processors.tram.events import (
     ACCURACY_UNSTATED,
     ERROR_TAKEN,
     FIRST_FIXES_WRONG,
     FIX_REFUSED,
+    FIXES_BACK,
+    FIXES_JUMPED,
     IMPOSSIBLE_VELOCITY,
     NO_HOPE,
     POSITION_TAKEN,
     VELOCITY_REFUSED,
 )
 from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram.fix_noise import (
+    HEAVY_SIGMA,
+    WHITE_FLOOR_M,
+    WHITE_SHARE,
+    FixNoise,
+    FixNoiseMemory,
+    crowded,
+    error_of_fixes,
+)
 from tramstream.processors.tram_model.gnss_position import DOUBT_STD_M, GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.measurement import PAIR_GATE
@@ -45,14 +55,17 @@ from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path
-WHITE_SHARE = 0.1
-"""Part of the deviation that neighbouring fixes do not share."""
-WHITE_FLOOR_M = 0.01
-"""Noise of a carrier-phase fix, which neighbours do not share."""
-NEW_REGIME = 2.0
-"""Accuracy that changes by this factor is a new situation with an error of its own."""
-HEAVY_SIGMA = 2.5
-"""Beyond this the error is taken for larger than stated: its noise grows with it."""
+JUMP_M = 30.0
+"""Fixes that jump by more, from one to the next, are not of multipath; chosen by hand."""
+JUMP_PAUSE_S = 5.0
+"""After a longer pause it may be the filter that was elsewhere; chosen by hand."""
+JUMP_TRUST_S, JUMP_HELD_S = 60.0, 600.0
+"""Who has followed fixes for the first of these does not follow a jump of theirs, for as long as it
+has followed them, and no longer than the second; chosen by hand."""
+JUMP_SAID_S = 1.0
+"""A jump that lasts so long is said; chosen by hand."""
+UNEXPLAINED_SIGMA = 2.0
+"""Fixes that are further from a vehicle that stands cast doubt on that; chosen by hand."""
 ABSORB_S = 8.0
 """Fixes refused for so long have a new error, not an outlier; or, if they were refused before the
 first fix was as old, it was the first ones that were wrong."""
@@ -116,10 +129,11 @@ def doubts(fix: GnssFix, level: LocalLevel) -> list[Event]:
 class FixesMemory:
     """What `Fixes` remember."""
 
-    std_m: float = 0.0
-    """Of the present regime; 0 before the first fix."""
+    noise: FixNoiseMemory = field(default_factory=FixNoiseMemory)
     refused_ns: int = 0
     """Since when; 0 if the last was taken."""
+    jumped_ns: int = 0
+    """Since when fixes are elsewhere at once; 0 if they are not."""
     absurd_ns: int = 0
     absurd_m: float = 0.0
     begun_ns: int = 0
@@ -149,6 +163,9 @@ class Fixes:
         self.floor_m = gnss.error_floor_m if gnss else 0.005
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
+        self.noise = FixNoise(self.tau_s, self.floor_m, self.memory.noise)
+        self.heard: Heard | None = None
+        """What became of the last fix, for whoever judges the filter at once."""
 
     @property
     def diverged(self) -> Event | None:
@@ -160,8 +177,9 @@ class Fixes:
     def renew(self, ekf: TramFilter) -> None:
         """The error of the fixes is another one: after a long pause."""
         memory = self.memory
-        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-        memory.std_m, memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0.0, 0, 0, 0.0
+        self.noise.renew(ekf)
+        memory.refused_ns, memory.absurd_ns, memory.absurd_m = 0, 0, 0.0
+        memory.jumped_ns = 0
 
     def apply(
         self, fix: GnssFix, ekf: TramFilter, level: LocalLevel, standing: bool
@@ -170,30 +188,40 @@ class Fixes:
         memory = self.memory
         std, std_up = deviations(fix, self.floor_m)
         memory.begun_ns = memory.begun_ns or fix.stamp_ns
-        self._set_noise(ekf, std, std_up)
+        self.noise.set(ekf, std, std_up)
         z = antenna_l(fix, level)
-        white = max(WHITE_SHARE * std, WHITE_FLOOR_M)
-        white_up = max(WHITE_SHARE * std_up, WHITE_FLOOR_M)
-        verdicts = ekf.apply(GnssPosition(z[0], z[1], white * white))
+        closeness = crowded(fix.stamp_ns - memory.last_ns)
+        white = closeness * max(WHITE_SHARE * std, WHITE_FLOOR_M) ** 2
+        white_up = closeness * max(WHITE_SHARE * std_up, WHITE_FLOOR_M) ** 2
+        verdicts = ekf.apply(GnssPosition(z[0], z[1], white))
         found: list[Event] = []
         refused = not verdicts[0].accepted
         if refused:
             off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
-        verdicts += ekf.apply(GnssHeight(z[2], white_up * white_up))
+        self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
+        verdicts += ekf.apply(GnssHeight(z[2], white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
-            found += self._absorb(fix.stamp_ns, verdicts, ekf, std)
+            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, std)
         else:
-            memory.refused_ns = 0
+            if memory.jumped_ns:
+                lasted_s = (fix.stamp_ns - memory.jumped_ns) / S
+                found.append(FIXES_BACK(key=_KEY, lasted_s=lasted_s))
+            memory.refused_ns = memory.jumped_ns = 0
         measured = None if standing else velocity_l(fix, level)
+        if measured == (0.0, 0.0):  # no moving antenna measures that: the receiver holds its place
+            measured = None
+        velocity, accepted = None, False
         if measured is not None:
             std_mps = _velocity_std(fix)
-            taken = ekf.apply(GnssVelocity(*measured, std_mps * std_mps))
+            taken = ekf.apply(GnssVelocity(*measured, closeness * std_mps * std_mps))
             verdicts += taken
-            if not taken[0].accepted:
+            accepted = taken[0].accepted
+            if not accepted:
+                velocity = Offset(taken[0].innovation, taken[1].innovation, std_mps)
                 off_mps, limit_mps = _refused(ekf, 0.0)
                 facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
@@ -202,22 +230,29 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
+        off_m = verdicts[0].innovation, verdicts[1].innovation
+        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, off_m, velocity, accepted)
         return verdicts, found
 
-    def _set_noise(self, ekf: TramFilter, std: float, std_up: float) -> None:
+    def _refuse(
+        self, stamp_ns: int, off_m: float, verdicts: list[Verdict], ekf: TramFilter, std: float
+    ) -> list[Event]:
+        """Find out whose fault a refused fix is: of one that has jumped, its own."""
         memory = self.memory
-        if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
-            if memory.std_m != 0.0:
-                ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (std, std, std_up))
-            memory.std_m = std
-        east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
-        heavy = max(1.0, (east * east + north * north) / (HEAVY_SIGMA * std) ** 2)
-        heavy_up = max(1.0, (up / (HEAVY_SIGMA * std_up)) ** 2)
-        white = 1.0 - WHITE_SHARE**2
-        density = 2.0 * white * std * std * heavy / self.tau_s
-        up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
-        ekf.set_fix_error(1.0 / self.tau_s, density, up_density)
+        followed_s = (stamp_ns - memory.begun_ns) / S
+        if memory.refused_ns == 0 and off_m > JUMP_M and followed_s > JUMP_TRUST_S:
+            pause_s = (stamp_ns - memory.accepted_ns) / S
+            memory.jumped_ns = stamp_ns if pause_s < JUMP_PAUSE_S else 0
+        if memory.jumped_ns == 0:
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        lasted_s = (stamp_ns - memory.jumped_ns) / S
+        if lasted_s > min(followed_s - lasted_s, JUMP_HELD_S):
+            memory.jumped_ns = 0
+            return self._absorb(stamp_ns, verdicts, ekf, std)
+        memory.refused_ns = stamp_ns
+        if lasted_s < JUMP_SAID_S:
+            return []
+        return [FIXES_JUMPED(key=_KEY, off_m=off_m, limit_m=JUMP_M, lasted_s=lasted_s)]
 
     def _absorb(
         self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
@@ -230,22 +265,53 @@ class Fixes:
         refused_s, memory.refused_ns = (stamp_ns - memory.refused_ns) / S, 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
         if young:
-            error = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
+            error = error_of_fixes(ekf)
             self._move(ekf, error[0] + east, error[1] + north, std)
             away_m = math.hypot(error[0] + east, error[1] + north)
             return [FIRST_FIXES_WRONG(key=_KEY, away_m=away_m)]
         for slot, innovation in ((Ix.GNSS_EAST, east), (Ix.GNSS_NORTH, north)):
             error_m = ekf.state[slot] + innovation
             ekf.reset(slot, error_m, max(std, abs(error_m)))
-        error_m = math.hypot(ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH])
+        error_m = math.hypot(*error_of_fixes(ekf))
         return [ERROR_TAKEN(key=_KEY, refused_s=refused_s, error_m=error_m)]
 
+    def move_to(self, verdicts: list[Verdict], ekf: TramFilter) -> None:
+        """Let the place be where a fix is that was refused, by its verdicts."""
+        east, north = error_of_fixes(ekf)
+        east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
+        self._move(ekf, east, north, self.memory.noise.std_m)
+        self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
+
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:
-        """Let the position be elsewhere, where fixes without an error would have it."""
+        """Let the position be elsewhere, where fixes without an error would have it.
+
+        So is the height, if it is far from theirs: it was that of another place.
+        """
         ekf.shift(Ix.EAST, east)
         ekf.shift(Ix.NORTH, north)
         ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0))
+        ekf.set_states(Ix.GNSS_SLOW_EAST, (0.0, 0.0))
         ekf.forget((Ix.EAST, Ix.NORTH, Ix.GNSS_EAST, Ix.GNSS_NORTH), (2 * std, 2 * std, std, std))
+        slow_m = self.memory.noise.slow_m
+        ekf.forget((Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH), (slow_m, slow_m))
+        up, std_up = ekf.state[Ix.GNSS_UP], self.memory.noise.std_up_m
+        if abs(up) > HEAVY_SIGMA * std_up:
+            ekf.shift(Ix.UP, up)
+            ekf.reset(Ix.GNSS_UP, 0.0, std_up)
+            ekf.forget((Ix.UP,), (2 * std_up,))
+        self.noise.restart()
+
+    def unexplained_m(self, ekf: TramFilter) -> float:
+        """How far fixes are from a vehicle that is taken to stand, beyond what they err."""
+        off_m = math.hypot(*error_of_fixes(ekf))
+        return max(0.0, off_m - UNEXPLAINED_SIGMA * self.noise.std_m)
+
+    def take_place(self, ekf: TramFilter, heard: Heard) -> None:
+        """Let the place of a filter that was wrong be where the last fix is."""
+        east, north = heard.off_m if heard.refused else (0.0, 0.0)
+        error = error_of_fixes(ekf)
+        self._move(ekf, error[0] + east, error[1] + north, heard.std_m)
+        self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
 
     def _absorb_height(self, ekf: TramFilter, innovation: float, std_up: float) -> None:
         """A height that jumps has a new error: nobody waits for heights."""
@@ -257,7 +323,7 @@ class Fixes:
     ) -> list[Event]:
         """Take the position where the fixes are when their error has been absurd for long."""
         memory = self.memory
-        east, north = ekf.state[Ix.GNSS_EAST], ekf.state[Ix.GNSS_NORTH]
+        east, north = error_of_fixes(ekf)
         error = math.hypot(east, north)
         if error < ABSURD_SIGMA * std:
             memory.absurd_ns, memory.absurd_m = 0, 0.0

@@ -181,6 +181,8 @@ class Search:
         counted = navigation.wheels.counted(memory.kept)
         direction = navigation.wheels.direction(counted)
         verdicts: dict[float, list[Verdict]] = {}
+        if direction == 0.0 and navigation.alone:
+            direction = 1.0  # nothing will ever tell
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
             navigation.go_back(memory.anchor)
             ekf, yaw_rad = navigation.ekf, self._alignment.yaw_rad

@@ -9,7 +9,7 @@ that stood before and has not moved is taken to stand there yet (`outage.py`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
@@ -23,13 +23,13 @@ from tramstream.processors.tram import estimate as estimates
 from tramstream.processors.tram import events
 from tramstream.processors.tram.filter import GYRO_Z, SPEED
 from tramstream.processors.tram.gnss import doubts, speed_over_ground
-from tramstream.processors.tram.heading import Search, SearchMemory
+from tramstream.processors.tram.heading import Search
+from tramstream.processors.tram.liveness import Liveness
+from tramstream.processors.tram.localiser_memory import LocaliserMemory
 from tramstream.processors.tram.modes import TRANSITIONS, Event, Phase
-from tramstream.processors.tram.navigation import Navigation, NavigationMemory, Watcher
-from tramstream.processors.tram.outage import Parked, Silence, SilenceMemory
-from tramstream.processors.tram.predictor import Ahead, AheadMemory
-from tramstream.processors.tram.standstill import Standstill
-from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram.navigation import Navigation, Watcher
+from tramstream.processors.tram.outage import Parked, Silence
+from tramstream.processors.tram.predictor import Ahead
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
@@ -40,6 +40,9 @@ BLIND_S = 5.0
 """After such a silence the heading is sought anew: a tram turns by 45° in less."""
 UNSEEN_MPS = 15.0
 """How fast a vehicle moves that nobody sees."""
+LATELY_S = 5.0
+"""A vehicle whose wheels were found dead, and that was taken to stand so lately, has moved unseen;
+chosen by hand, guarded by `tests/processors/tram/test_liveness.py`."""
 HEARD_S = 0.5
 """Wheels read within so long tell how far the vehicle has come."""
 BACK_S = 5.0
@@ -48,35 +51,6 @@ FAR_S = 10.0
 FAR_LATEST_S = 120.0
 """Fixes far from where the ride began for so long, or for as long as the ride has lasted if that is
 between the two: it was the first fix that was wrong."""
-
-
-@dataclass
-class LocaliserMemory:
-    """What a `TramLocaliser` remembers."""
-
-    level: LocalLevel | None = None
-    navigation: NavigationMemory | None = None
-    search: SearchMemory | None = None
-    standstill: Standstill = field(default_factory=Standstill)
-    silence: SilenceMemory = field(default_factory=SilenceMemory)
-    ahead: AheadMemory = field(default_factory=AheadMemory)
-    parked: Parked | None = None
-    phase: Phase = Phase.WAITING
-    heard_ns: int = 0
-    """Last inertial or wheel reading."""
-    wheels_ns: int = 0
-    way_m: float = 0.0
-    """At most, since the last usable fix."""
-    last_fix: GnssFix | None = None
-    """Usable."""
-    begun_ns: int = 0
-    stamp_ns: int = 0
-    back_ns: tuple[int, int] = (0, 0)
-    """First and last stamp of frames that went on from an earlier time."""
-    far_ns: tuple[int, int] = (0, 0)
-    """First and last of those fixes in a row that are far away."""
-    inertial: bool = False
-    last: Estimate | None = None
 
 
 class TramLocaliser:
@@ -95,6 +69,7 @@ class TramLocaliser:
         self._search: Search | None = None
         self._silence = Silence(vehicle, memory.silence)
         self._ahead = Ahead(vehicle, memory.ahead)
+        self._liveness = Liveness(vehicle.wheels.m_per_pulse, memory.liveness)
 
     @property
     def level(self) -> LocalLevel | None:
@@ -120,6 +95,7 @@ class TramLocaliser:
             navigation = self._wait(frame)
             if navigation is None:
                 return None
+        frame = self._leave_out(navigation, frame)
         self._detect_silence(navigation, frame)
         standing = self._observe(navigation, frame, gap_s)
         noise = self._standstill.noise if memory.inertial else None
@@ -129,6 +105,9 @@ class TramLocaliser:
             verdicts = self._align(navigation, frame, standing)
         if memory.parked is not None:
             self._resume_parked(memory.parked, navigation, frame, standing)
+        if navigation.memory.contradicted:
+            navigation.memory.contradicted = False
+            self._on(Event.CONTRADICTED)
         if navigation.complaints:
             self._complaints += navigation.complaints
             navigation.complaints.clear()
@@ -142,6 +121,33 @@ class TramLocaliser:
             self._watcher.heading_confirmed(navigation)
         memory.last = self._estimate(navigation, standing, verdicts)
         return memory.last
+
+    def _leave_out(self, navigation: Navigation, frame: SyncFrame) -> SyncFrame:
+        """Give the frame without sensors that do not live."""
+        liveness, standstill = self._liveness, self._standstill
+        stamp_ns, dead = frame.stamp_ns, liveness.wheels_dead
+        sure_mps = navigation.sure_mps if self.memory.phase is Phase.RUNNING else 0.0
+        honest = liveness.honest(frame, standstill.fast_s(stamp_ns), sure_mps)
+        if not liveness.found:
+            return honest
+        self._complaints += liveness.found
+        liveness.found.clear()
+        if liveness.wheels_dead and not dead:
+            navigation.wheels.trust_again(navigation.ekf)
+            if standstill.standing or stamp_ns - standstill.since_ns < LATELY_S * S:
+                self._complaints.append(events.WHEELS_LIED(still_s=LATELY_S))
+                standstill.leave_wheels(stamp_ns)
+                navigation.doubt()
+                self._seek_anew(navigation, Event.WHEELS_LIED, LATELY_S)
+        return honest
+
+    def _seek_anew(self, navigation: Navigation, event: Event, unseen_s: float) -> None:
+        """Look for the vehicle again, which has moved unseen for so long."""
+        self._on(event)
+        self._end_search()
+        self.memory.way_m += UNSEEN_MPS * unseen_s
+        navigation.forget_heading()
+        self._pass_unseen_time(navigation)
 
     def _on(self, event: Event) -> None:
         self.memory.phase = TRANSITIONS[self.memory.phase, event]
@@ -172,6 +178,8 @@ class TramLocaliser:
         counted_m = 0.0
         for reading in frame.odometry:
             counted_m += self._note_wheels(reading)
+        if counted_m:
+            self._liveness.roll(counted_m)
         x, variances, stamp_ns = navigation.ekf.state, navigation.ekf.variances, memory.stamp_ns
         running = memory.phase is Phase.RUNNING
         speed, variance = (x[SPEED], variances[SPEED]) if running else (math.nan, 0.0)
@@ -233,20 +241,10 @@ class TramLocaliser:
         elif search.memory.failed:
             self._on(Event.ALIGNMENT_FAILED)
             search.abandon(navigation)
-            self._reset_position(navigation)
+            navigation.reset_place(self.memory.last_fix, self.memory.way_m)
         if search.memory.found or search.memory.failed:
             self._end_search()
         return verdicts
-
-    def _reset_position(self, navigation: Navigation) -> None:
-        """Forget the place but for the last fix, and how far that may be."""
-        ekf, fix, std, std_up = navigation.ekf, self.memory.last_fix, 1000.0, 1000.0
-        if fix is not None:
-            ekf.set_states(Ix.EAST, antenna_l(fix, navigation.level))
-            stated = navigation.accuracies_m(fix)
-            std, std_up = (math.hypot(3.0 * each, self.memory.way_m) for each in stated)
-        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std_up))
-        ekf.reset(Ix.SPEED, 0.0, 0.0)
 
     # Silence -------------------------------------------------------------------------------------
     def _pass_unseen_time(self, navigation: Navigation) -> None:
@@ -258,7 +256,7 @@ class TramLocaliser:
             ekf.restart_path(wheel, 0.0)
         ekf.set_time(self.memory.stamp_ns)
         navigation.memory.stood = False
-        self._reset_position(navigation)
+        navigation.reset_place(self.memory.last_fix, self.memory.way_m)
 
     def _detect_silence(self, navigation: Navigation, frame: SyncFrame) -> None:
         """Notice that nothing tells of the motion: park a vehicle that stands, or lose it."""
@@ -273,11 +271,7 @@ class TramLocaliser:
             memory.parked = Parked.of(navigation)
         if silent_s > BLIND_S:
             self._complaints.append(events.HEADING_LOST(silence_s=silent_s, limit_s=BLIND_S))
-            self._on(Event.SENSORS_SILENT)
-            self._end_search()
-            memory.way_m += UNSEEN_MPS * silent_s
-            navigation.forget_heading()
-            self._pass_unseen_time(navigation)
+            self._seek_anew(navigation, Event.SENSORS_SILENT, silent_s)
 
     def _resume_parked(
         self, parked: Parked, navigation: Navigation, frame: SyncFrame, standing: bool
@@ -328,6 +322,11 @@ class TramLocaliser:
         memory, running = self.memory, self.memory.phase is Phase.RUNNING
         mode = navigation.mode(memory.stamp_ns) if running else HEADING_UNKNOWN
         estimate = navigation.ekf.estimate(memory.stamp_ns, mode, standing, verdicts)
+        if standing:
+            way_m, mps = self._standstill.unseen(memory.stamp_ns)
+            way_m = max(way_m, navigation.fixes.unexplained_m(navigation.ekf))
+            if way_m > 0.0:
+                estimate = estimates.doubted(estimate, way_m, mps)
         if running:
             return estimate
         fix = memory.last_fix

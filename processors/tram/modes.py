@@ -55,6 +55,8 @@ class Event(Enum):
     ALIGNMENT_FAILED = "stands too early, or after 120 s"
     SENSORS_SILENT = "no inertial and no wheel reading for 5 s"
     PARKED_RESUMED = "a parked vehicle has not moved"
+    CONTRADICTED = "several sources contradict the filter"
+    WHEELS_LIED = "it moved while all wheels stood"
     RESTART = "the filter begins anew"
 
 
@@ -67,6 +69,8 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
         (Phase.SEEKING, Event.ALIGNMENT_FAILED): Phase.RESTING,
         (Phase.SEEKING, Event.SENSORS_SILENT): Phase.RESTING,
         (Phase.RUNNING, Event.SENSORS_SILENT): Phase.RESTING,
+        (Phase.RUNNING, Event.CONTRADICTED): Phase.RUNNING,
+        **{(phase, Event.WHEELS_LIED): Phase.RESTING for phase in _PLACED},
         **{(phase, Event.PARKED_RESUMED): Phase.RUNNING for phase in _PLACED},
         **{(phase, Event.RESTART): Phase.WAITING for phase in Phase},
     }

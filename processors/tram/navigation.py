@@ -11,52 +11,44 @@ from typing import Any, Protocol
 import numpy as np
 
 from tramstream import keys
-from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
-from tramstream.estimation.fixes import deviations, unusable
+from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
     Learned,
     Verdict,
 )
-from tramstream.estimation.records import numbers, one
 from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailMemory
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, copied
-from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
+from tramstream.processors.tram.course import Course, CourseMemory
+from tramstream.processors.tram.divergence import Divergence, DivergenceMemory, Heard
 from tramstream.processors.tram.estimate import learned
-from tramstream.processors.tram.events import ASTRAY, IMPOSSIBLE_READING
-from tramstream.processors.tram.filter import GYRO_Z, FilterMemory, TramFilter
+from tramstream.processors.tram.events import ASTRAY
+from tramstream.processors.tram.filter import FilterMemory, TramFilter
 from tramstream.processors.tram.gnss import Fixes, FixesMemory
-from tramstream.processors.tram.modes import (
-    HELD_S,
-    Drive,
-    Phase,
-    drive_by_reading,
-    drive_without_reading,
-    published_mode,
-)
+from tramstream.processors.tram.modes import Phase, published_mode
+from tramstream.processors.tram.readings import Became, Readings, ReadingsMemory
 from tramstream.processors.tram.start import first_deviations
 from tramstream.processors.tram.wheels import PairMemory, WheelPair
-from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
-from tramstream.processors.tram_model.records import INERTIAL, Z
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
 from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
 from tramstream.proto.gnss_pb2 import GnssFix
-from tramstream.proto.raw_pb2 import Odometry
-from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
+from tramstream.proto.sync_pb2 import SyncFrame
 
 LEAVING_STD_MPS = 0.01
 """Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
+SURE_MPS, SURE_SIGMA = 1.0, 4.0
+"""Least speed that the filter is sure of, less so many deviations; chosen by hand."""
 ASTRAY_NS = S // 2
 """A measurement so far outside of its frame has a stamp that is wrong."""
 _EAST, _NORTH, _YAW, _PITCH = (int(each) for each in (Ix.EAST, Ix.NORTH, Ix.YAW, Ix.PITCH))
@@ -92,13 +84,13 @@ class NavigationMemory:
     """What a `Navigation` remembers."""
 
     filter: FilterMemory
-    inertial: Array
-    """Numbers of `records.Inertial`."""
+    readings: ReadingsMemory
     wheels: PairMemory = field(default_factory=PairMemory)
     fixes: FixesMemory = field(default_factory=FixesMemory)
-    noise: NoiseMemory = field(default_factory=NoiseMemory)
-    read_ns: int = 0
-    rate_ns: int = 0
+    course: CourseMemory = field(default_factory=CourseMemory)
+    divergence: DivergenceMemory = field(default_factory=DivergenceMemory)
+    contradicted: bool = False
+    """Whether several sources have contradicted the filter in this frame."""
     stood: bool = False
     """Whether the vehicle stood in the last frame."""
     trail: TrailMemory = field(default_factory=TrailMemory)
@@ -116,25 +108,18 @@ class Navigation:
         self._watcher = watcher
         gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         self.ekf = TramFilter(vehicle, gravity)
-        self.inertial = one(INERTIAL)
+        self.complaints: list[Event] = []
+        self.readings = Readings(vehicle, self.complaints)
+        self.inertial = self.readings.inertial
         """The inertial readings, see `records.Inertial`."""
-        self.reading: Array = numbers(self.inertial["now"])
-        """The newest one as plain numbers: rates, specific forces, angular accelerations, 1."""
-        self.between: Array = numbers(self.inertial["between"])
-        """What acts between the last two, as plain numbers."""
-        self._inertial: Array = numbers(self.inertial)
-        self.memory = memory = NavigationMemory(self.ekf.remembered, self._inertial)
+        self.reading, self.between = self.readings.now, self.readings.between
+        self.memory = memory = NavigationMemory(self.ekf.remembered, self.readings.memory)
         self.wheels = WheelPair(vehicle, memory.wheels)
         self.fixes = Fixes(vehicle, memory.fixes)
-        self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
-        self._shaking: Array = self.inertial["shaking_variance"][0]
-        self._now = self.inertial["now"]
-        self.complaints: list[Event] = []
+        self._course = Course(self.fixes.tau_s, memory.course)
+        self._divergence = Divergence(vehicle, self.fixes.tau_s, memory.divergence)
+        self._lateral, self._vertical = LateralForce(self.readings.numbers), VerticalConstraint()
         imu = vehicle.imu
-        mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
-        self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
-        self._noise = MotionNoise(vehicle, memory.noise)
-        self._has_imu = imu is not None
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
@@ -148,63 +133,17 @@ class Navigation:
         delay_s, pivot_m = vehicle.wheels.delay_s, vehicle.ekf.pivot_m
         self.ekf.set_states(Ix.WHEEL_DELAY, (delay_s, pivot_m))
 
-    # Readings ------------------------------------------------------------------------------------
+    @property
+    def alone(self) -> bool:
+        """Whether nothing but fixes tells of the motion."""
+        return self.readings.coasting and not self.wheels.known
+
     def read(self, frame: SyncFrame) -> bool:
         """Take over the frame's inertial reading, or the bus' yaw rate; False without a reading."""
-        if frame.HasField("imu") and self._read_imu(frame.imu):
-            return True
-        rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
-        turns = bool(rates) and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS
-        ages_ns = frame.stamp_ns - self.memory.read_ns, frame.stamp_ns - self.memory.rate_ns
-        drive = drive_without_reading(*ages_ns, turns)
-        if drive is Drive.YAW_RATE:
-            self._read_rate(rates[-1])
-        elif drive is Drive.COASTING:
-            self._hold("now")
-            self._hold("between")
-            self._noise.coast(self.ekf)
-        return False
-
-    def _read_imu(self, mean: ImuMean) -> bool:
-        memory = self.memory
-        stamp_ns = mean.stamp_ns
-        dt = (stamp_ns - memory.read_ns) / S if memory.read_ns else 0.0
-        drive = Drive.INERTIAL
-        if dt > HELD_S:
-            drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
-        lasts = 0.0 if drive is Drive.COASTING else dt
-        if not axes.take_reading(self._inertial, self._C_vb, *axes.scalars_of(mean), lasts):
-            self.complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
-            return False
-        memory.read_ns = stamp_ns
-        if drive is Drive.INERTIAL:
-            self._noise.inertial(self.ekf, self._shaking)
-        elif drive is Drive.BRIDGED:
-            self._noise.bridge(self.ekf, dt)
-        else:
-            self._hold("between")
-            self._noise.coast(self.ekf)
-        return True
-
-    def _hold(self, which: str) -> None:
-        """Fill a reading so that no rate and no force act."""
-        reading = self.inertial[which]
-        numbers(reading)[:] = 0.0
-        reading["angular_rate"] = self.ekf.state[Ix.GYRO_X : Ix.GYRO_Z + 1]
-
-    def _read_rate(self, reading: Odometry) -> None:
-        """Let the bus' own yaw rate stand for a gyroscope."""
-        # The bias that the filter knows is not that of this sensor, where there is an IMU.
-        memory = self.memory
-        bias = self.ekf.state[GYRO_Z] if self._has_imu else 0.0
-        for held in ("now", "between"):
-            self._hold(held)
-            self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
-        interval_s = None
-        if memory.rate_ns:
-            interval_s = min(max((reading.stamp_ns - memory.rate_ns) / S, 0.01), 1.0)
-        self._noise.yaw_rate(self.ekf, interval_s)
-        memory.rate_ns = reading.stamp_ns
+        state = self.readings.read(frame, self.ekf)
+        if state is Became.STUCK:
+            self.wheels.trust_again(self.ekf)
+        return state is Became.TAKEN
 
     # One frame -----------------------------------------------------------------------------------
     def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:
@@ -274,6 +213,9 @@ class Navigation:
         ekf = self.ekf
         refused = ekf.apply(self._lateral)
         if refused:
+            if ekf.log_likelihood_sum is None:
+                self._divergence.refuse_force(ekf.stamp_ns)
+                self._doubt(self._divergence.without_fix(ekf, self.wheels, ekf.stamp_ns))
             (verdict,) = refused
             variance = float(ekf.parameters["lateral_variance"][0])
             distance = verdict.innovation * verdict.innovation / verdict.variance
@@ -297,9 +239,7 @@ class Navigation:
         if isinstance(measurement, GnssFix):
             if not measurement.valid or unusable(measurement, self.level):
                 return []
-            verdicts, found = self.fixes.apply(measurement, self.ekf, self.level, standing)
-            self.complaints += found
-            return verdicts
+            return self._apply_fix(measurement, standing)
         if not self.wheels.known:
             self.wheels.assign(measurement, self.ekf)
         verdicts = self.wheels.apply(measurement, self.ekf)
@@ -307,6 +247,41 @@ class Navigation:
             if not verdict.accepted:
                 self.complaints += self.wheels.refusal(verdict)
         return verdicts
+
+    def _apply_fix(self, fix: GnssFix, standing: bool) -> list[Verdict]:
+        """Apply a usable fix, and hear what it says of the filter."""
+        judging = not standing and self.ekf.log_likelihood_sum is None
+        if judging:
+            east, north, _ = antenna_l(fix, self.level)
+            self._divergence.before_fix(self.ekf, fix.stamp_ns, east, north)
+        verdicts, found = self.fixes.apply(fix, self.ekf, self.level, standing)
+        self.complaints += found
+        if self.alone and not standing:
+            self._course.follow(fix, verdicts, self.ekf, self.fixes, self.level)
+        heard = self.fixes.heard
+        if not judging or heard is None:
+            self._divergence.forget()
+            return verdicts
+        if heard.velocity_accepted:
+            self.wheels.back(fix.stamp_ns)
+        self._doubt(self._divergence.after_fix(self.ekf, self.wheels, heard), heard)
+        return verdicts
+
+    def doubt(self) -> None:
+        """Doubt what has moved unseen: attitude, biases, slips."""
+        self._divergence.doubt(self.ekf, self.wheels)
+
+    def _doubt(self, found: list[Event], heard: Heard | None = None) -> None:
+        """Say that the filter was wrong, where it was; `heard` is the fix that showed it."""
+        if not found:
+            return
+        memory = self.memory
+        self.complaints += found
+        memory.contradicted = True
+        if heard is not None:
+            self.fixes.take_place(self.ekf, heard)
+        if self.ekf.stamp_ns < memory.divergence.out_ns:
+            self.readings.leave_out(self.ekf, memory.divergence.out_ns)
 
     # Changes of the situation --------------------------------------------------------------------
     def follow(self, track: LocalTrack) -> bool:
@@ -327,10 +302,20 @@ class Navigation:
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
         memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        self.fixes.noise.on_track(ekf, n, told.across_variance)
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
         memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):
             memory.given += ekf.apply(TrackGrade(told.grade_rad, told.grade_variance, gate))
+
+    def reset_place(self, fix: GnssFix | None, way_m: float) -> None:
+        """Forget the place but for the last fix, and how far that may be."""
+        ekf, std, std_up = self.ekf, 1000.0, 1000.0
+        if fix is not None:
+            ekf.set_states(Ix.EAST, antenna_l(fix, self.level))
+            std, std_up = (math.hypot(3.0 * each, way_m) for each in self.accuracies_m(fix))
+        ekf.forget((Ix.EAST, Ix.NORTH, Ix.UP), (std, std, std_up))
+        ekf.reset(Ix.SPEED, 0.0, 0.0)
 
     def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; see `TramFilter.set_heading`."""
@@ -352,6 +337,13 @@ class Navigation:
         """What is published of the place at `stamp_ns`, once the heading is known."""
         return published_mode(Phase.RUNNING, (stamp_ns - self.memory.fixes.accepted_ns) / S)
 
+    @property
+    def sure_mps(self) -> float:
+        """Speed without a sign that the vehicle surely has; 0 where that is little."""
+        speed, variance = self.ekf.state[Ix.SPEED], self.ekf.variances[Ix.SPEED]
+        sure: float = abs(speed) - SURE_SIGMA * math.sqrt(variance)
+        return sure if sure > SURE_MPS else 0.0
+
     def learned(self) -> list[Learned]:
         """Give what has been learned of the sensors."""
         return learned(self.ekf.state, self.ekf.variances)
@@ -362,7 +354,7 @@ class Navigation:
 
     def accuracies_m(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of a fix on each horizontal axis, and of its height."""
-        return deviations(fix, self.fixes.floor_m)
+        return self.fixes.noise.deviations(fix)
 
     # Memory --------------------------------------------------------------------------------------
     def mark(self) -> None:

@@ -51,6 +51,8 @@ RUN_S = 3.0
 """Without wheels, a vehicle that has left does not stand again before this: at walking pace its
 shaking is still that of standing."""
 GNSS_AGE_S = 2.5
+UNSEEN_M = 2.0
+"""Way on which a vehicle reaches `RUNNING_MPS`, at 1 m/s²; chosen by hand."""
 
 
 class Shaking(Protocol):
@@ -171,6 +173,20 @@ class Standstill:
     def speed_over_ground_mps(self) -> float:
         """Last speed that GNSS measured; 0 if it never has."""
         return self._gnss_mps if math.isfinite(self._gnss_mps) else 0.0
+
+    def fast_s(self, stamp_ns: int) -> float:
+        """For how long GNSS has seen a fast vehicle; 0 if it does not."""
+        heard = self._gnss_ns and stamp_ns - self._gnss_ns < GNSS_AGE_S * S
+        return (self._gnss_ns - self._fast_ns) / S if heard else 0.0
+
+    def unseen(self, stamp_ns: int) -> tuple[float, float]:
+        """Way and speed that GNSS says of a vehicle that stands by its wheels, m, m/s."""
+        fast_s = self.fast_s(stamp_ns)
+        return (UNSEEN_M + self._gnss_mps * fast_s, self._gnss_mps) if fast_s > 0.0 else (0.0, 0.0)
+
+    def leave_wheels(self, stamp_ns: int) -> None:
+        """Do without wheels, which were found dead: the vehicle does not stand as they say."""
+        self._wheel_ns, self._quiet_ns = 0, stamp_ns
 
     def wheels(self, stamp_ns: int, turned: bool) -> None:
         """Take a reading of the wheels."""

@@ -21,7 +21,7 @@ START_STD_M = 1000.0
 
 
 def first_deviations(vehicle: Vehicle) -> Array:
-    """Standard deviations of all states (`Ix`) at the start, shape (28,)."""
+    """Standard deviations of all states (`Ix`) at the start, shape (30,)."""
     imu, wheels = vehicle.imu, vehicle.wheels
     std = np.zeros(len(Ix))
     std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M

@@ -11,7 +11,6 @@ Equations: docs/theory.md, sections 6.5, 6.6 and 7.5.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
@@ -20,6 +19,7 @@ from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.processors.tram.events import WHEEL_REFUSED, WHEEL_SPEED_REFUSED
 from tramstream.processors.tram.filter import SPEED, TramFilter
+from tramstream.processors.tram.wheel import CUSUM_LIMIT, CUSUM_SLACK, PairMemory, Wheel
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
@@ -39,11 +39,6 @@ OVERRULE_S = 20.0
 """... or when it has disagreed for so long: then the filter's speed is wrong, not the wheel."""
 OVERRULE_STD_RAD = 0.01
 """... and its pitch, which took gravity for a push."""
-CUSUM_SLACK = 0.75
-CUSUM_LIMIT = 10.0
-"""Page's test (CUSUM): normalised innovations are added up, less the slack each, and a sum above
-the limit is a slip. White ones come so far once a day; a mean of 1.5 deviations is seen in a
-quarter of a second (docs/theory.md, section 7.5)."""
 COMPANION_SHARE = 0.3
 """A wheel whose sum is so much of that of a wheel that slips, to the same side, slips too; chosen
 by hand."""
@@ -54,6 +49,8 @@ MISLED_STD_MPS = 0.005
 MISLED_STD_RAD = 0.001
 """What a slip has done to speed and pitch when Page's test finds it; chosen by hand, guarded by
 `test_slip_at_walking_pace_is_no_slope`."""
+SPEED_SHARE = 0.1
+"""Of a new reading in the speed of a wheel that slips; chosen by hand."""
 LONGEST_PAUSE_S = 0.5
 """After a longer pause a path says nothing about the wheel's grip,"""
 LONGEST_COUNTED_S = 20.0
@@ -66,42 +63,6 @@ COUNTS_DOWN = 2
 BACKWARDS_MPS = 0.3
 TURNING_MPS = 0.03
 """A wheel that gives its speed turns above this."""
-
-
-@dataclass
-class Wheel:
-    """What is remembered of one wheel."""
-
-    slot: int
-    pulses: int | None = None
-    stamp_ns: int = 0
-    slipping: bool = False
-    slip_ns: int = 0  # since when
-    agrees_since_ns: int = 0  # since when it agrees again; later than now while it is excluded
-    agreed_path_m: float = 0.0  # way since then
-    refused: bool = False  # its last reading
-    cusum_up: float = 0.0  # upper and lower sum of Page's test on its normalised innovations
-    cusum_down: float = 0.0
-    signed: bool = False  # has counted down
-    down: int = 0  # readings in a row in which it has
-
-    @property
-    def cusum(self) -> float:
-        """The greater sum of Page's test; the lower one counts negative."""
-        return self.cusum_up if self.cusum_up > self.cusum_down else -self.cusum_down
-
-    @property
-    def fits(self) -> bool:
-        """Whether neither the innovation gate nor Page's test tells of a slip."""
-        return not (self.refused or self.cusum_up > CUSUM_LIMIT or self.cusum_down > CUSUM_LIMIT)
-
-
-@dataclass
-class PairMemory:
-    """What a `WheelPair` remembers."""
-
-    wheels: dict[str, Wheel] = field(default_factory=dict)
-    slips: int = 0
 
 
 class WheelPair:
@@ -220,10 +181,30 @@ class WheelPair:
                 self._count(wheel, each.pulses, reading.stamp_ns)
 
     def slipping_s(self, stamp_ns: int) -> float:
-        """For how long a wheel has not fitted the motion."""
-        return max(
-            ((stamp_ns - w.slip_ns) / S for w in self._wheels.values() if w.slipping), default=0.0
-        )
+        """For how long a wheel that is read has not fitted the motion."""
+        return max(self._slipped_s(stamp_ns), default=0.0)
+
+    def refused_s(self, stamp_ns: int) -> float:
+        """For how long no wheel has fitted the motion; 0 if one does, or none is read."""
+        return min(self._slipped_s(stamp_ns), default=0.0)
+
+    def fits(self, stamp_ns: int) -> bool:
+        """Whether a wheel that is read goes the filter's way."""
+        return any(not wheel.slipping for wheel in self._read(stamp_ns))
+
+    def speed_mps(self, stamp_ns: int) -> float:
+        """Speed of the wheels that do not fit the motion, without a sign; 0 where all fit."""
+        speeds = [wheel.speed_mps for wheel in self._read(stamp_ns) if wheel.slipping]
+        return sum(speeds) / len(speeds) if speeds else 0.0
+
+    def _read(self, stamp_ns: int) -> list[Wheel]:
+        """Wheels that have been read of late."""
+        since_ns = stamp_ns - int(LONGEST_PAUSE_S * S)
+        return [wheel for wheel in self._wheels.values() if wheel.stamp_ns > since_ns]
+
+    def _slipped_s(self, stamp_ns: int) -> list[float]:
+        """For how long each wheel that is read has slipped."""
+        return [(stamp_ns - w.slip_ns) / S if w.slipping else 0.0 for w in self._read(stamp_ns)]
 
     def counters(self) -> dict[str, int]:
         """Pulses of each wheel, as they were last read."""
@@ -253,6 +234,7 @@ class WheelPair:
         variance = self._pulse_variance + speed**2 * self._stamp_variance
         if way is None or (pause_s > LONGEST_PAUSE_S and not self._counts(wheel, pause_s, ekf)):
             self._restart_path(wheel, stamp_ns, variance, ekf)
+            wheel.slip_ns = stamp_ns
             return None
         sign = ekf.wheel_signs[wheel.slot]
         if wheel.signed or way * sign * speed < 0.0:
@@ -274,6 +256,12 @@ class WheelPair:
         wheel.cusum_up, wheel.cusum_down, wheel.refused = 0.0, 0.0, False
         ekf.restart_path(wheel.slot, variance)
 
+    def trust_again(self, ekf: TramFilter) -> None:
+        """Believe wheels that did not fit: the filter was wrong."""
+        for wheel in self._wheels.values():
+            wheel.slipping, wheel.pulses = False, None
+            self._restart_path(wheel, wheel.stamp_ns, self._m_per_pulse**2, ekf)
+
     def _detect_slip(self, stamp_ns: int, ekf: TramFilter) -> None:
         """Exclude wheels that slip, and those whose sums of Page's test have grown with theirs.
 
@@ -286,6 +274,7 @@ class WheelPair:
         for wheel in wheels:
             if wheel in slipping or wheel.cusum * most > COMPANION_SHARE * most * most:
                 wheel.slipping, wheel.slip_ns = True, stamp_ns
+                wheel.speed_mps = abs(ekf.state[SPEED])
                 excluded_ns = int(misled * EXCLUDED_S * S)
                 self._restart_path(wheel, stamp_ns + excluded_ns, self._m_per_pulse**2, ekf)
                 self.memory.slips += 1
@@ -295,6 +284,15 @@ class WheelPair:
     def _counts(self, wheel: Wheel, pause_s: float, ekf: TramFilter) -> bool:
         """Whether what was counted in a pause says more than what the filter knows of it."""
         return pause_s < LONGEST_COUNTED_S and path_variance(ekf, wheel) > BLIND_STD_M**2
+
+    def _overrules(self, wheel: Wheel, stamp_ns: int) -> bool:
+        """Whether the filter is wrong, and not the wheel: for long, and nobody speaks for it."""
+        disagreed_ns = stamp_ns - max(wheel.slip_ns, self.memory.backed_ns)
+        return disagreed_ns > OVERRULE_S * S and not self.fits(stamp_ns)
+
+    def back(self, stamp_ns: int) -> None:
+        """Hear that the receiver has measured the filter's speed."""
+        self.memory.backed_ns = stamp_ns
 
     def _correct_sign(self, wheel: Wheel, way: float, speed: float, ekf: TramFilter) -> None:
         """A counter that only counts up does so backwards too."""
@@ -320,9 +318,10 @@ class WheelPair:
     ) -> Verdict:
         """Watch a slipping wheel, without a word to the filter."""
         wheel.agreed_path_m += way
+        wheel.speed_mps += SPEED_SHARE * (abs(way) / pause_s - wheel.speed_mps)
         y = wheel.agreed_path_m - ekf.expected_path(wheel.slot)
         S_y = path_variance(ekf, wheel) + variance
-        if stamp_ns - wheel.slip_ns > OVERRULE_S * S:
+        if self._overrules(wheel, stamp_ns):
             ekf.widen(Ix.SPEED, abs(abs(way) / pause_s - abs(ekf.state[SPEED])))
             ekf.widen(Ix.PITCH, OVERRULE_STD_RAD)
             wheel.slipping = False
@@ -339,6 +338,7 @@ class WheelPair:
         self, wheel: Wheel, each: WheelReading, stamp_ns: int, ekf: TramFilter
     ) -> Verdict | None:
         wheel.signed |= each.speed_mps < -TURNING_MPS
+        wheel.stamp_ns, wheel.speed_mps = stamp_ns, abs(each.speed_mps)
         speed = ekf.state[SPEED]
         self._correct_sign(wheel, each.speed_mps, speed, ekf)
         measurement = WheelSpeed(wheel.slot, each.speed_mps, self._speed_std * self._speed_std)
@@ -348,7 +348,7 @@ class WheelPair:
         elif not wheel.slipping:
             wheel.slipping, wheel.slip_ns = True, stamp_ns
             self.memory.slips += 1
-        elif stamp_ns - wheel.slip_ns > OVERRULE_S * S:
+        elif self._overrules(wheel, stamp_ns):
             ekf.widen(Ix.SPEED, abs(verdict.innovation))
             wheel.slip_ns = stamp_ns
         return verdict

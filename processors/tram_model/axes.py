@@ -27,6 +27,23 @@ STEADY_S = 0.5
 """Time constant of the rates that a row of H is made of; chosen by hand."""
 SHAKING_S = 0.3
 """Time constant of what neighbouring rates differ by: a pothole is over after so long."""
+STRAIGHT_READINGS = 8.0
+"""So many readings in a row on one straight line were not measured: a logger has drawn them through
+a gap. The noise of a sensor leaves the line with the first; chosen by hand, guarded by
+`tests/processors/tram/test_tram_gaps.py`."""
+_BEND, _RATE_BEND_RADPS, _FORCE_BEND_MPS2 = 0.02, 2e-5, 3e-3
+_LEAST_STEPS = 5.0
+IMPOSSIBLE, TAKEN, STUCK = range(3)
+"""What becomes of a reading."""
+STUCK_READINGS = 25
+"""An axis that gives the same number so often in a row does not live. Chosen by hand: a mean of
+twenty samples of the ADIS16465 repeats itself once in a hundred, an axis that gives one of two
+numbers so often once in 3e7; guarded by `tests/processors/tram/test_liveness.py`."""
+COARSE, COARSE_READINGS = 4.0, 300.0
+"""A coarse sensor repeats itself by nature: it may so many times as long as it has and lived, and
+no longer than this; chosen by hand."""
+ALIVE_READINGS = 100
+"""It lives again when for so many readings no axis has repeated itself for long; chosen by hand."""
 _OF_MOTION = localiser.COVARIANCE
 _MOVED = columns_of(Ix.SPEED, Ix.YAW, Ix.GNSS_DELAY, Ix.PIVOT)
 
@@ -54,10 +71,11 @@ def take_reading(
     ay: float,
     az: float,
     dt: float,
-) -> bool:
+) -> int:
     """Turn a reading of the case into the vehicle's axes, and remember the one before.
 
-    One that cannot be changes nothing: then False.
+    One that cannot be, or is of a sensor that does not live, moves nothing; gives `IMPOSSIBLE`,
+    `STUCK` or `TAKEN`.
 
     Parameters
     ----------
@@ -72,8 +90,14 @@ def take_reading(
     # Comparisons with what is no number are false.
     turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
     if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
-        return False
+        return IMPOSSIBLE
     i = inertial.view(INERTIAL)[0]
+    if _repeats(i, gx, gy, gz, ax, ay, az):
+        return STUCK
+    for k in range(3):  # `between` is scratch here: the readings before are needed yet
+        i.between.angular_rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
+        i.between.specific_force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
+    i.straight = i.straight + 1.0 if _goes_straight_on(i) else 0.0
     i.before = i.now
     now = i.now
     for k in range(3):
@@ -87,7 +111,56 @@ def take_reading(
             i.smoothed_rate[k] = i.steady_rate[k] = now.angular_rate[k]
             i.shaking_variance[k] = 0.0
     _smooth(i, dt)
-    return True
+    return TAKEN
+
+
+@compiled
+def _repeats(i: Inertial, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> bool:
+    """Take note of which axes give the same number again; whether the sensor does not live.
+
+    The noise of a sensor that lives changes its last digits. An axis that has never given another
+    number is not measured, rather than stuck, unless all are like that.
+    """
+    lives, stuck, all_stuck = True, False, True
+    for k, value in enumerate((gx, gy, gz, ax, ay, az)):
+        if value == i.read[k]:
+            i.repeats[k] += 1.0
+        else:
+            i.read[k] = value
+            i.varied[k] += 1.0
+            i.longest[k] = max(i.longest[k], i.repeats[k])
+            i.repeats[k] = 0.0
+        limit = min(max(STUCK_READINGS, COARSE * i.longest[k]), COARSE_READINGS)
+        over = i.repeats[k] >= limit
+        lives = lives and (i.varied[k] == 0.0 or COARSE * i.repeats[k] < limit)
+        all_stuck = all_stuck and over
+        stuck = stuck or (over and i.varied[k] > STUCK_READINGS)
+    if stuck or all_stuck or i.stuck > 0.0:
+        i.lived = i.lived + 1.0 if lives else 0.0
+        i.stuck = 1.0 if i.lived < ALIVE_READINGS else 0.0
+    return bool(i.stuck > 0.0)
+
+
+@compiled
+def _goes_straight_on(i: Inertial) -> bool:
+    """Whether the new reading, in `between`, lies on the line through the two before it.
+
+    All six axes do but for rounding, and one of them changes: what gives the same number again and
+    again is no line.
+    """
+    changes = False
+    for k in range(3):
+        new, now = i.between.angular_rate[k], i.now.angular_rate[k]
+        step = abs(new - now)
+        if not abs(new - 2.0 * now + i.before.angular_rate[k]) <= _BEND * step + _RATE_BEND_RADPS:
+            return False
+        changes = changes or step > _LEAST_STEPS * _RATE_BEND_RADPS
+        new, now = i.between.specific_force[k], i.now.specific_force[k]
+        step = abs(new - now)
+        if not abs(new - 2.0 * now + i.before.specific_force[k]) <= _BEND * step + _FORCE_BEND_MPS2:
+            return False
+        changes = changes or step > _LEAST_STEPS * _FORCE_BEND_MPS2
+    return changes
 
 
 @compiled

@@ -2,10 +2,11 @@
 
     z = p + C_lv p_va + b − v_a τ + n
 
-with the pivot's place p, the lever arm p_va, the correlated error of the fixes b, the antenna's
-velocity v_a, and the delay τ by which the fix's stamp is too late; n is the white part of the error
-(docs/theory.md, section 6.2). East and north are gated together; the height, which jumps more
-often, has a gate of its own and is linearised anew behind them.
+with the pivot's place p, the lever arm p_va, the error of the fixes b (a part that lasts for some
+ten seconds and, horizontally, one that lasts for many minutes), the antenna's velocity v_a, and the
+delay τ by which the fix's stamp is too late; n is the white part of the error (docs/theory.md,
+section 6.2). East and north are gated together; the height, which jumps more often, has a gate of
+its own and is linearised anew behind them.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ DOUBT_STD_M = 0.3
 """A fix that is off by less than a few of these is never an outlier, however sure the filter is;
 chosen by hand."""
 _LEVEL = (Ix.GNSS_DELAY, Ix.SPEED, Ix.YAW, Ix.PITCH, Ix.ROLL, Ix.PIVOT)
-_EAST = columns_of(Ix.EAST, Ix.GNSS_EAST, *_LEVEL)
-_NORTH = columns_of(Ix.NORTH, Ix.GNSS_NORTH, *_LEVEL)
+_EAST = columns_of(Ix.EAST, Ix.GNSS_EAST, Ix.GNSS_SLOW_EAST, *_LEVEL)
+_NORTH = columns_of(Ix.NORTH, Ix.GNSS_NORTH, Ix.GNSS_SLOW_NORTH, *_LEVEL)
 _UP = columns_of(Ix.UP, Ix.GNSS_UP, Ix.GNSS_DELAY, Ix.SPEED, Ix.PITCH, Ix.ROLL)
 
 
@@ -42,8 +43,8 @@ def expected(x: Array, c: Parameters, s: Situation, yaw_rate: float) -> tuple[fl
     ve, vn = antenna_velocity(x, c, s, yaw_rate)
     delay = x[Ix.GNSS_DELAY]
     return (
-        x[Ix.EAST] + east + x[Ix.GNSS_EAST] - ve * delay,
-        x[Ix.NORTH] + north + x[Ix.GNSS_NORTH] - vn * delay,
+        x[Ix.EAST] + east + x[Ix.GNSS_EAST] + x[Ix.GNSS_SLOW_EAST] - ve * delay,
+        x[Ix.NORTH] + north + x[Ix.GNSS_NORTH] + x[Ix.GNSS_SLOW_NORTH] - vn * delay,
     )
 
 
@@ -57,11 +58,11 @@ def jacobian(x: Array, c: Parameters, s: Situation, yaw_rate: float, H: Array) -
     sy, cy = math.sin(x[Ix.YAW]), math.cos(x[Ix.YAW])
     along = cp if s.heading_known else 0.0
     h = H[0]
-    h[Ix.EAST], h[Ix.GNSS_EAST], h[Ix.GNSS_DELAY] = 1.0, 1.0, -ve
+    h[Ix.EAST], h[Ix.GNSS_EAST], h[Ix.GNSS_SLOW_EAST], h[Ix.GNSS_DELAY] = 1.0, 1.0, 1.0, -ve
     h[Ix.SPEED], h[Ix.YAW] = -cy * cp * delay, -north + vn * delay
     h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = cy * az, sy * az, cy * along
     h = H[1]
-    h[Ix.NORTH], h[Ix.GNSS_NORTH], h[Ix.GNSS_DELAY] = 1.0, 1.0, -vn
+    h[Ix.NORTH], h[Ix.GNSS_NORTH], h[Ix.GNSS_SLOW_NORTH], h[Ix.GNSS_DELAY] = 1.0, 1.0, 1.0, -vn
     h[Ix.SPEED], h[Ix.YAW] = -sy * cp * delay, east - ve * delay
     h[Ix.PITCH], h[Ix.ROLL], h[Ix.PIVOT] = sy * az, -cy * az, sy * along
 

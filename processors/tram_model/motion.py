@@ -124,6 +124,9 @@ def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[
     x[Ix.GNSS_EAST] *= keep
     x[Ix.GNSS_NORTH] *= keep
     x[Ix.GNSS_UP] *= keep
+    keep = 1.0 - s.slow_decay * dt  # of minutes: e^-x to a hundred-millionth
+    x[Ix.GNSS_SLOW_EAST] *= keep
+    x[Ix.GNSS_SLOW_NORTH] *= keep
     return accel, yaw_rate
 
 
@@ -177,6 +180,8 @@ def transition(x: Array, c: Parameters, s: Situation, u: Reading, dt: float, A: 
     decay = math.exp(-s.fix_decay * dt) - 1.0
     for error in range(Ix.GNSS_EAST, Ix.GNSS_UP + 1):
         A[error, error] = decay
+    decay = -s.slow_decay * dt
+    A[Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_EAST] = A[Ix.GNSS_SLOW_NORTH, Ix.GNSS_SLOW_NORTH] = decay
     used = 1.0 if c.vertical_density > 0.0 else 0.0
     # How w follows v is left out: a rate that shakes, times what it has shaken w by, has a
     # mean, which would turn into a speed that shrinks.
@@ -264,6 +269,8 @@ def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> Non
     P[Ix.GNSS_EAST, Ix.GNSS_EAST] += s.fix_density * dt
     P[Ix.GNSS_NORTH, Ix.GNSS_NORTH] += s.fix_density * dt
     P[Ix.GNSS_UP, Ix.GNSS_UP] += s.fix_up_density * dt
+    P[Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_EAST] += s.slow_density * dt
+    P[Ix.GNSS_SLOW_NORTH, Ix.GNSS_SLOW_NORTH] += s.slow_density * dt
 
 
 @compiled

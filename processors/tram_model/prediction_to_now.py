@@ -8,7 +8,7 @@ import numpy as np
 
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.estimation.records import Records, dtype_of
-from tramstream.processors.tram_model.axes import fill_estimate, take_reading
+from tramstream.processors.tram_model.axes import TAKEN, fill_estimate, take_reading
 from tramstream.processors.tram_model.motion import add_noise, move, transition
 from tramstream.processors.tram_model.records import (
     INERTIAL,
@@ -60,7 +60,7 @@ def keep(
     dt: float,
 ) -> bool:
     """Read as `take_reading` does, and keep what acts since the reading before, and how long."""
-    if not take_reading(inertial, C_vb, gx, gy, gz, ax, ay, az, dt):
+    if take_reading(inertial, C_vb, gx, gy, gz, ax, ay, az, dt) != TAKEN:
         return False
     each = kept.view(KEPT)[index]
     each.reading = inertial.view(INERTIAL)[0].between

@@ -80,6 +80,10 @@ class Situation(Protocol):
     """Driving noise of the fixes' error on each horizontal axis, m²/s."""
     fix_up_density: float
     """Driving noise of the fixes' error in height, m²/s."""
+    slow_decay: float
+    """1/τ of the part of the fixes' error that lasts for many minutes, 1/s."""
+    slow_density: float
+    """Driving noise of that part on each horizontal axis, m²/s."""
     wheel_offset: Annotated[Array, (2,)]
     """Of each wheel to the left of the vehicle's axis, m."""
     wheel_sign: Annotated[Array, (2,)]
@@ -112,6 +116,20 @@ class Inertial(Protocol):
     """Of a rate, by what neighbouring readings differ, (rad/s)²."""
     steady_rate: Annotated[Array, (3,)]
     """Smoothed angular rates up to the reading before, for rows of H, rad/s."""
+    straight: float
+    """Readings in a row of which each lies on the straight line through the two before it."""
+    read: Annotated[Array, (6,)]
+    """The newest reading as the case gave it: rates, rad/s, and specific forces, m/s²."""
+    repeats: Annotated[Array, (6,)]
+    """How often in a row each axis has given the same number again."""
+    varied: Annotated[Array, (6,)]
+    """How often each axis has given another number than before."""
+    longest: Annotated[Array, (6,)]
+    """Most repeats in a row that each axis has ended by itself."""
+    stuck: float
+    """1 while an axis is taken not to live, and until all have lived for a while; else 0."""
+    lived: float
+    """Readings in a row in which all axes live, while `stuck`."""
 
 
 class Memory(Protocol):

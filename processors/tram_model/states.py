@@ -36,7 +36,7 @@ class Ix(IntEnum):
     MOUNT_ROLL = 12  # what the configured mounting leaves, rad
     MOUNT_YAW = 13
     GYRO_SCALE = 14  # of the vertical gyroscope
-    GNSS_EAST = 15  # error of the fixes, m
+    GNSS_EAST = 15  # error of the fixes that lasts `gnss.error_tau_s`, m
     GNSS_NORTH = 16
     GNSS_UP = 17
     SCALE_A = 18  # of the wheels: they count 1 + scale too much
@@ -49,6 +49,8 @@ class Ix(IntEnum):
     MOUNT_PITCH = 25
     HEAVE = 26  # speed along z, where the vertical force is used, m/s
     ACCEL_Z = 27  # bias, m/s²
+    GNSS_SLOW_EAST = 28  # error of the fixes that lasts for many minutes, m
+    GNSS_SLOW_NORTH = 29
 
 
 SIZE = len(Ix)
@@ -68,6 +70,8 @@ UNITS = {
     Ix.GNSS_EAST: "m",
     Ix.GNSS_NORTH: "m",
     Ix.GNSS_UP: "m",
+    Ix.GNSS_SLOW_EAST: "m",
+    Ix.GNSS_SLOW_NORTH: "m",
     Ix.SCALE_A: "1",
     Ix.SCALE_B: "1",
     Ix.GNSS_DELAY: "s",
@@ -126,6 +130,8 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     (Ix.GNSS_EAST, Ix.GNSS_EAST),
     (Ix.GNSS_NORTH, Ix.GNSS_NORTH),
     (Ix.GNSS_UP, Ix.GNSS_UP),
+    (Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_EAST),
+    (Ix.GNSS_SLOW_NORTH, Ix.GNSS_SLOW_NORTH),
     (Ix.UP, Ix.HEAVE),
     (Ix.HEAVE, Ix.ROLL),
     (Ix.HEAVE, Ix.PITCH),

@@ -32,7 +32,7 @@ from tramstream.estimation.series import Slot, wrapped_rad
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram.gnss import WHITE_SHARE
+from tramstream.processors.tram.fix_noise import WHITE_SHARE
 from tramstream.processors.tram.start import GYRO_SCALE_STD
 from tramstream.processors.tram.trace import (
     ANEW,

@@ -13,7 +13,8 @@ from test_tram_start import copies, plain
 from tramstream.config import Vehicle
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, STARTING, TRACKING
 from tramstream.live import snapshots
-from tramstream.processors.tram import heading
+from tramstream.processors.tram import alignment, heading
+from tramstream.processors.tram import localiser as localisers
 from tramstream.processors.tram.localiser import BACK_S, BLIND_S, SILENT_S, TramLocaliser
 from tramstream.processors.tram.modes import (
     BRIDGED_S,
@@ -89,6 +90,27 @@ def without_wheels(frames: list[SyncFrame], from_s: float) -> list[SyncFrame]:
     return frames
 
 
+def frozen_wheels(ride: Ride, from_s: float, lasts_s: float = 14.0) -> list[SyncFrame]:
+    """A ride whose counters stand from a moment on."""
+    frames = copies(ride.between(-1.0, from_s + lasts_s))
+    last: dict[str, int] = {}
+    for frame in frames:
+        if time_s(frame.stamp_ns) > from_s:
+            for reading in frame.odometry:
+                for wheel in reading.wheels:
+                    wheel.pulses = last.setdefault(wheel.wheel, wheel.pulses)
+    return frames
+
+
+def turned(ride: Ride, from_s: float) -> list[SyncFrame]:
+    """A ride whose gyroscope turns by itself for two seconds."""
+    frames = copies(ride.between(-1.0, from_s + 15.0))
+    for frame in frames:
+        if from_s < time_s(frame.stamp_ns) < from_s + 2.0:
+            frame.imu.gyro_z_radps += 0.4
+    return frames
+
+
 def set_back(ride: Ride, at_s: float) -> list[SyncFrame]:
     """A ride until `at_s`, and then once more, with a clock a day younger."""
     frames = ride.between(-1.0, at_s)
@@ -124,8 +146,15 @@ def test_every_transition_of_the_table_happens_and_no_other(
         set_back(ride, at[Phase.RESTING]),
         set_back(ride, seeking),
         set_back(ride, running),
+        turned(ride, running + 3.0),
+        frozen_wheels(ride, 0.0, ride.departure_s(1) + 10.0),
+        frozen_wheels(ride, stop_s, ride.departure_s(2) + 10.0 - stop_s),
     ):
         seen |= gone_through(ride, frames)
+    with monkeypatch.context() as patched:
+        patched.setattr(alignment, "ENOUGH_RAD", 1e-6)
+        patched.setattr(localisers, "LATELY_S", 60.0)
+        seen |= gone_through(ride, frozen_wheels(ride, ride.departure_s(1) + 8.0, 8.0))
     monkeypatch.setattr(heading, "KEEP_S", 0.5)
     seen |= gone_through(ride, ride.between(-1.0, running))
     assert seen == set(TRANSITIONS)

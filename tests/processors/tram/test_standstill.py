@@ -13,7 +13,7 @@ from test_tram_start import LINE, copies, plain
 from tramstream.clock import S
 from tramstream.live import snapshots
 from tramstream.memory.stage import from_plain, to_plain
-from tramstream.processors.tram.events import SLIPPING
+from tramstream.processors.tram.events import WHEEL_DEAD
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.standstill import FAST_S, LOCKED_MPS, WHEELS_STILL_S, Standstill
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -235,4 +235,4 @@ def test_counters_that_stick_on_the_way_do_not_stop_the_vehicle(seed: int, veloc
     assert not errors.standing.any()
     assert errors.horizontal_m.max() < 3.0
     assert np.abs(errors.speed_mps).max() < 0.7
-    assert SLIPPING in [event.kind for event in localiser.complaints()]
+    assert WHEEL_DEAD in [event.kind for event in localiser.complaints()]

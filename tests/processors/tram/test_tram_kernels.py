@@ -22,6 +22,7 @@ from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import Measurement
 from tramstream.processors.tram_model.prediction_to_now import KEPT
 from tramstream.processors.tram_model.records import INERTIAL, MEMORY, READING
+from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import COLUMNS, ENTRIES, ROWS, SIZE, Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
@@ -87,6 +88,7 @@ def covariance(rng: Generator) -> Array:
 def tram_filter(x: Array, P: Array) -> TramFilter:
     ekf = TramFilter(vehicle(), GRAVITY)
     ekf.set_fix_error(0.05, 0.02, 0.05)
+    ekf.set_slow_fix_error(0.002, 0.001)
     ekf.x, ekf.P = x, P
     return ekf
 
@@ -207,6 +209,7 @@ def measurements(rng: Generator, x: Array, gate: float) -> dict[str, Measurement
         "zero angular rate": ZeroAngularRate(now, 0.1, 0.2, 0.3),
         "level force": LevelForce(now, 0.3, gate),
         "lateral force": LateralForce(numbers(inertial), gate),
+        "slow error": SlowError(0.3),
         "vertical constraint": VerticalConstraint(),
         "track distance": TrackDistance(0.6, 0.8, 0.4, 0.1, gate),
         "track heading": TrackHeading(0.6, 0.8, 0.02, 0.01, *x[[0, 1, 6]].tolist(), 0.01, gate),
@@ -257,6 +260,38 @@ def test_refused_measurement_changes_nothing_and_says_how_far_off_it_was() -> No
     np.testing.assert_array_equal(ekf.P, P)
     np.testing.assert_allclose(ekf.S, ekf.H @ P @ ekf.H.T + ekf.R, rtol=1e-9)
     np.testing.assert_array_equal(ekf.K, 0.0)
+
+
+def told_slow(std_m: float, then_m: float | None) -> TramFilter:
+    """A filter that takes three fixes with a slow error of `std_m`, and learns that it is less."""
+    P = np.diag(np.full(SIZE, 0.01))
+    P[Ix.EAST, Ix.EAST] = P[Ix.NORTH, Ix.NORTH] = 4.0
+    P[Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_EAST] = P[Ix.GNSS_SLOW_NORTH, Ix.GNSS_SLOW_NORTH] = std_m**2
+    ekf = tram_filter(np.zeros(SIZE), P)
+    for k in range(3):
+        ekf.apply(GnssPosition(1.0 + 0.1 * k, -2.0, 0.3, gate=INFINITE, knee=INFINITE))
+    if then_m is not None:
+        ekf.apply(SlowError(1.0 / (1.0 / then_m**2 - 1.0 / std_m**2)))
+    return ekf
+
+
+def test_slow_error_that_turns_out_to_be_smaller_is_as_if_it_had_been_known() -> None:
+    """Identity: the same as a filter that began with the smaller one."""
+    found, known = told_slow(2.0, 0.5), told_slow(0.5, None)
+    np.testing.assert_allclose(found.x, known.x, atol=1e-9)
+    np.testing.assert_allclose(found.P, known.P, atol=1e-9)
+
+
+def test_doubt_that_is_exchanged_leaves_what_fixes_have_told() -> None:
+    """The sum of place and error is as sure as before; each of them is not."""
+    ekf = told_slow(0.5, None)
+    before = ekf.P.copy()
+    ekf.exchange(Ix.EAST, Ix.GNSS_SLOW_EAST, 0.7)
+    row = np.zeros(SIZE)
+    row[[Ix.EAST, Ix.GNSS_SLOW_EAST]] = 1.0
+    assert row @ ekf.P @ row == pytest.approx(row @ before @ row)
+    for slot in (Ix.EAST, Ix.GNSS_SLOW_EAST):
+        assert ekf.P[slot, slot] == pytest.approx(before[slot, slot] + 0.49)
 
 
 def test_parameters_are_frozen() -> None:

@@ -1,0 +1,180 @@
+"""What the filter `tram` takes the error of the fixes for, as it has been learned.
+
+The error has states of its own: a part that lasts `gnss.error_tau_s` and, horizontally, one that
+lasts for many minutes. What neighbouring fixes do not share counts by time, not by fix: more fixes
+tell no more. Standing, the surroundings stand still too: the error then only walks, and a drift of
+the fixes does not move the vehicle.
+
+Equations: docs/theory.md, section 6.3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from tramstream.clock import S
+from tramstream.estimation.fixes import deviations
+from tramstream.estimation.localiser import Verdict
+from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
+from tramstream.processors.tram_model.slow_error import SlowError
+from tramstream.processors.tram_model.states import Ix
+from tramstream.proto.gnss_pb2 import GnssFix
+
+_EAST, _NORTH, _SLOW_EAST, _SLOW_NORTH = (
+    int(each) for each in (Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH)
+)
+WHITE_SHARE = 0.1
+"""Part of the deviation that neighbouring fixes do not share."""
+WHITE_FLOOR_M = 0.01
+"""Noise of a carrier-phase fix, which neighbours do not share."""
+INDEPENDENT_S = 0.2
+"""Noise of fixes that are less apart is not new noise: a receiver filters its own; chosen by hand,
+guarded by `test_more_fixes_of_the_same_error_make_the_filter_no_surer`."""
+NEW_REGIME = 2.0
+"""Accuracy that changes by this factor is a new situation with an error of its own."""
+HEAVY_SIGMA = 2.5
+"""Beyond this the error is taken for larger than stated: its noise grows with it."""
+HEAVIEST = 100.0
+"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
+tell anything; chosen by hand."""
+STEP = 1.1
+"""What is learned of the error is told to the filter when it is off by this factor; by hand."""
+
+
+@dataclass
+class FixNoiseMemory:
+    """What `FixNoise` remembers."""
+
+    std_m: float = 0.0
+    """As the receiver states it in the present regime; 0 before the first fix."""
+    std_up_m: float = 0.0
+    """Of the last height."""
+    fast: float = 1.0
+    """The largest variance over the stated one that the place has been doubted for."""
+    slow_m: float = 0.0
+    """Deviation that the slow error's state began with; 0 before the first fix."""
+    learned: FixErrorMemory = field(default_factory=FixErrorMemory)
+
+
+class FixNoise:
+    """Tells the filter how large the error of the fixes is and how it goes on.
+
+    Parameters
+    ----------
+    tau_s : float
+        Correlation time that the configuration gives.
+    floor_m : float
+        Least deviation of a fix on each axis.
+    """
+
+    def __init__(self, tau_s: float, floor_m: float, memory: FixNoiseMemory) -> None:
+        self._tau_s, self._floor_m = tau_s, floor_m
+        self.memory = memory
+        self._learned = FixError(tau_s, memory.learned)
+
+    def deviations(self, fix: GnssFix) -> tuple[float, float]:
+        """Deviation of each horizontal axis and of the height, as far as it is known."""
+        std, std_up = deviations(fix, self._floor_m)
+        scale = self._learned.scale
+        return scale * std, scale * std_up
+
+    @property
+    def std_m(self) -> float:
+        """Deviation of a horizontal axis, as far as it is known."""
+        return self._learned.scale * self.memory.std_m
+
+    def renew(self, ekf: TramFilter) -> None:
+        """Take the error for another one from here on."""
+        ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
+        self.memory.std_m = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Compare errors of the fixes anew: the place was taken for another one until here."""
+        self._learned.forget()
+
+    def set(self, ekf: TramFilter, std: float, std_up: float) -> None:
+        """Let the error be what it is taken for at a fix of the stated deviations."""
+        memory, learned = self.memory, self._learned
+        memory.std_up_m = std_up
+        fast = std * math.sqrt(learned.fast)
+        if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
+            if memory.std_m != 0.0:
+                ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
+            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (fast, fast, std_up))
+            self._renew_slow_error(ekf, std)
+            memory.std_m = std
+        self._set_fast_error(ekf)
+        self._set_slow_error(ekf, memory.std_m * math.sqrt(learned.slow))
+        east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
+        usual = HEAVY_SIGMA * max(fast, std)
+        heavy = (east * east + north * north) / (usual * usual)
+        heavy, heavy_up = (
+            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
+        )
+        white = 1.0 - WHITE_SHARE**2
+        density = 2.0 * white * fast * fast * heavy / self._tau_s
+        up_density = 2.0 * white * std_up * std_up * heavy_up / self._tau_s
+        ekf.set_fix_error(1.0 / self._tau_s, density, up_density)
+
+    def _renew_slow_error(self, ekf: TramFilter, std: float) -> None:
+        """Let the slow error be that of another accuracy: a better one has its own."""
+        memory, before_m = self.memory, self.memory.slow_m
+        memory.slow_m = std * math.sqrt(max(self._learned.slow, 1.0))
+        for state in (Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH):
+            if memory.slow_m > before_m > 0.0:
+                ekf.widen(state, math.sqrt(memory.slow_m**2 - before_m**2))
+            else:
+                ekf.reset(state, 0.0, memory.slow_m)
+
+    def _set_fast_error(self, ekf: TramFilter) -> None:
+        """Let a place that fixes have given be as doubtful as they turn out to be."""
+        memory, fast = self.memory, self._learned.fast
+        if fast > STEP * memory.fast:
+            wider = math.sqrt(fast / memory.fast - 1.0)
+            for state, error in ((Ix.EAST, Ix.GNSS_EAST), (Ix.NORTH, Ix.GNSS_NORTH)):
+                ekf.exchange(state, error, wider * math.sqrt(ekf.variances[error]))
+            memory.fast = fast
+
+    def _set_slow_error(self, ekf: TramFilter, slow_m: float) -> None:
+        """Let the slow error be as large as it is taken to be now, as if it always had been.
+
+        Of the fixes so far only the sum of place and error is known.
+        """
+        memory = self.memory
+        if slow_m > STEP * memory.slow_m:
+            wider = math.sqrt(slow_m * slow_m - memory.slow_m * memory.slow_m)
+            ekf.exchange(Ix.EAST, Ix.GNSS_SLOW_EAST, wider)
+            ekf.exchange(Ix.NORTH, Ix.GNSS_SLOW_NORTH, wider)
+            memory.slow_m = slow_m
+        elif slow_m * STEP < memory.slow_m:
+            ekf.apply(SlowError(1.0 / (1.0 / slow_m**2 - 1.0 / memory.slow_m**2)))
+            memory.slow_m = slow_m
+        ekf.set_slow_fix_error(1.0 / SLOW_TAU_S, 2.0 * memory.slow_m * memory.slow_m / SLOW_TAU_S)
+
+    def on_track(self, ekf: TramFilter, normal: tuple[float, float], variance_m2: float) -> None:
+        """Learn of the error that the fixes have across a track that the filter is held to."""
+        if self.memory.std_m > 0.0:
+            east, north = error_of_fixes(ekf)
+            across_m = normal[0] * east + normal[1] * north
+            self._learned.see_across(ekf.stamp_ns, across_m, variance_m2, self.memory.std_m)
+
+    def learn(self, stamp_ns: int, ekf: TramFilter, verdicts: list[Verdict], std: float) -> None:
+        """Learn of the error that the fix has by the filter's place."""
+        east, north = error_of_fixes(ekf)
+        if not verdicts[0].accepted:  # else the error's state has it
+            east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
+        self._learned.see(stamp_ns, east, north, std)
+
+
+def error_of_fixes(ekf: TramFilter) -> tuple[float, float]:
+    """Error of the fixes as the filter has it, to the east and to the north."""
+    x = ekf.state
+    return x[_EAST] + x[_SLOW_EAST], x[_NORTH] + x[_SLOW_NORTH]
+
+
+def crowded(since_ns: int) -> float:
+    """By how much less a fix tells than one that comes `INDEPENDENT_S` after the last one."""
+    return max(INDEPENDENT_S * S / since_ns, 1.0) if since_ns > 0 else 1.0
