@@ -135,6 +135,8 @@ class Navigation:
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
         self._noise = MotionNoise(vehicle, memory.noise)
         self._has_imu = imu is not None
+        self._inside_m2 = vehicle.ekf.bogie_distance_m**2 / 8
+        """Times a curvature, how far inside of the rail the chord is midway."""
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0
@@ -326,7 +328,8 @@ class Navigation:
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        across_m = told.across_m - self._inside_m2 * told.bend_per_m
+        memory.given += ekf.apply(TrackDistance(*n, across_m, told.across_variance, gate))
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
         memory.given += ekf.apply(TrackHeading(*n, *heading, gate))
         if not math.isnan(told.grade_rad):

@@ -45,6 +45,11 @@ from tramstream.processors.tram_model.states import (
     Ix,
 )
 
+DRIFTING_MPS = 1.0
+"""Slower, the angular acceleration is mostly noise against what the rail does; chosen by hand."""
+STEERING_S = 0.05
+"""Time constant of a bogie's angle in the body, for noise is no steering; chosen by hand."""
+
 
 @compiled
 def rates(x: Array, angular_rate: Array) -> tuple[float, float, float]:
@@ -88,6 +93,26 @@ def heaving(x: Array, c: Parameters, u: Reading, wx: float, wy: float, wz: float
 
 
 @compiled
+def drift(c: Parameters, speed: float, turning_up: float) -> float:
+    """Speed to the left, m/s, of the point midway between two bogies, where the curve tightens.
+
+    On a rail whose curvature changes evenly the chord turns before the rail midway does
+    (docs/theory.md, section 5.2); `turning_up` is the smoothed angular acceleration about z.
+    """
+    if abs(speed) < DRIFTING_MPS:
+        return 0.0
+    return turning_up * c.half_base * c.half_base / (3.0 * speed)
+
+
+@compiled
+def bogie_speed(c: Parameters, speed: float, yaw_rate: float) -> float:
+    """Speed of a bogie along its rail, m/s: the body between the two takes the shorter way."""
+    swing = yaw_rate * c.half_base
+    along = math.sqrt(speed * speed + swing * swing)
+    return along if speed >= 0.0 else -along
+
+
+@compiled
 def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[float, float]:
     """Move x on by `dt` s with the reading `u`; midpoint rule.
 
@@ -102,12 +127,14 @@ def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[
     turning = sr * wy + cr * wz
     yaw_rate, pitch_rate = turning / cp, cr * wy - sr * wz
     accel = u.accelerometer * acceleration(x, c, u, wx, wy, wz)
+    sideways = drift(c, x[Ix.SPEED], u.angular_acceleration[Z])
+    accel += u.accelerometer * sideways * wz
     speed = x[Ix.SPEED] + 0.5 * dt * accel
     pitch = x[Ix.PITCH] + 0.5 * dt * pitch_rate
     yaw = x[Ix.YAW] + 0.5 * dt * yaw_rate
-    level = speed * math.cos(pitch) * dt
-    x[Ix.EAST] += level * math.cos(yaw)
-    x[Ix.NORTH] += level * math.sin(yaw)
+    level, left = speed * math.cos(pitch) * dt, sideways * dt
+    x[Ix.EAST] += level * math.cos(yaw) - left * math.sin(yaw)
+    x[Ix.NORTH] += level * math.sin(yaw) + left * math.cos(yaw)
     x[Ix.UP] -= speed * math.sin(pitch) * dt
     if c.vertical_density > 0.0:
         rising = u.accelerometer * heaving(x, c, u, wx, wy, wz)
@@ -117,9 +144,10 @@ def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[
     x[Ix.ROLL] += dt * (wx + tp * turning)
     x[Ix.PITCH] += dt * pitch_rate
     x[Ix.YAW] += dt * yaw_rate
+    rolling = bogie_speed(c, speed, wz)
     for wheel in range(2):
         sign, offset = s.wheel_sign[wheel], s.wheel_offset[wheel]
-        x[Ix.PATH_A + wheel] += dt * sign * (speed - offset * wz) * (1.0 + x[Ix.SCALE_A + wheel])
+        x[Ix.PATH_A + wheel] += dt * sign * (rolling - offset * wz) * (1.0 + x[Ix.SCALE_A + wheel])
     keep = math.exp(-s.fix_decay * dt)
     x[Ix.GNSS_EAST] *= keep
     x[Ix.GNSS_NORTH] *= keep
@@ -273,10 +301,24 @@ def _couple(P: Array, i: int, j: int, value: float) -> None:
 
 
 @compiled
+def steer(f: Memory, c: Parameters, s: Situation, dt: float) -> None:
+    """Let the wheels turn with their bogie in the body, as the curve has it."""
+    v = f.x[Ix.SPEED]
+    if c.wheel_bogie == 0.0 or abs(v) < DRIFTING_MPS:
+        return
+    turned = min(1.0, dt / STEERING_S) * (c.wheel_bogie * f.yaw_rate / v - f.bogie_angle)
+    f.bogie_angle += turned
+    for wheel in range(2):
+        counted = s.wheel_sign[wheel] * (1.0 + f.x[Ix.SCALE_A + wheel])
+        f.x[Ix.PATH_A + wheel] -= counted * s.wheel_offset[wheel] * turned
+
+
+@compiled
 def predict_state(f: Memory, c: Parameters, s: Situation, u: Reading, dt: float) -> None:
     """Move state and covariance on by `dt` s with the reading `u`."""
     predict_along(f, c, s, u, dt)
     f.acceleration, f.yaw_rate = move(f.x, c, s, u, dt)
+    steer(f, c, s, dt)
 
 
 @compiled

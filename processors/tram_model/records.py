@@ -41,6 +41,10 @@ class Parameters(Protocol):
     """From the vehicle's origin to the case of the inertial sensor, resolved in v, m."""
     antenna_lever: Annotated[Array, (3,)]
     """From the vehicle's origin to the antenna, resolved in v, m."""
+    half_base: float
+    """Half the distance of the two bogies' pivots; 0 where the body's axis follows the rail, m."""
+    wheel_bogie: float
+    """How far ahead of the body's middle the bogie of the wheels is; 0 if that is not known, m."""
     gyro_walk: float
     """K² of the gyroscopes' biases, (rad/s)²/s."""
     accel_walk: float
@@ -123,6 +127,8 @@ class Memory(Protocol):
     """v̇ of the last prediction, m/s²."""
     yaw_rate: float
     """ψ̇ of the last prediction, rad/s."""
+    bogie_angle: float
+    """By which the bogie of the wheels is turned to the left in the body, rad."""
     A: Annotated[Array, (SIZE, SIZE)]
     """Of the last prediction, F = I + A; only the places of `states.ENTRIES` mean anything."""
     entries: Annotated[Array, (ENTRY_COUNT,)]
@@ -155,6 +161,7 @@ SITUATION = dtype_of(Situation)
 READING = dtype_of(Reading)
 INERTIAL = dtype_of(Inertial)
 MEMORY = dtype_of(Memory)
+_AHEAD = {"front": 1.0, "rear": -1.0, "": 0.0}
 READING_NUMBERS = READING.itemsize // 8
 
 
@@ -167,6 +174,8 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Records:
     c["creep_density"] = ekf.wheel_creep_m_rtm**2
     if vehicle.gnss is not None:
         c["antenna_lever"] = vehicle.gnss.lever_arm_m
+    c["half_base"] = ekf.bogie_distance_m / 2
+    c["wheel_bogie"] = _AHEAD[vehicle.wheels.bogie] * ekf.bogie_distance_m / 2
     c["side_density"] = ekf.side_slip_std_m_rts**2
     c["heave_density"] = ekf.heave_std_m_rts**2
     c["heave_variance"] = c["heave_density"] / READING_S
