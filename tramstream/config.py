@@ -96,6 +96,8 @@ class Imu(Struct, frozen=True, kw_only=True):
     one that is read at 100 Hz in a car (docs/accuracy.md)."""
     accel_noise_mps2_rthz: Positive = 0.00022563
     """White noise N of the accelerometers."""
+    accel_aliasing: NotNegative = 0.0
+    """As `gyro_aliasing`, of the specific force and the speed."""
     accel_walk_mps3_rthz: Positive = 0.0000353
     """Random walk of the accelerometers' bias: B walked within a second; K is far below."""
     gyro_bias_std_radps: Positive = 0.01

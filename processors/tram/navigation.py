@@ -127,7 +127,6 @@ class Navigation:
         self.wheels = WheelPair(vehicle, memory.wheels)
         self.fixes = Fixes(vehicle, memory.fixes)
         self._lateral, self._vertical = LateralForce(self._inertial), VerticalConstraint()
-        self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now = self.inertial["now"]
         self.complaints: list[Event] = []
         imu = vehicle.imu
@@ -180,7 +179,7 @@ class Navigation:
             return False
         memory.read_ns = stamp_ns
         if drive is Drive.INERTIAL:
-            self._noise.inertial(self.ekf, self._shaking)
+            self._noise.inertial(self.ekf)
         elif drive is Drive.BRIDGED:
             self._noise.bridge(self.ekf, dt)
         else:

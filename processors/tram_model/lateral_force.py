@@ -85,7 +85,8 @@ def take_reading(f: Memory, c: Parameters, u: Reading, steady_rate: Array, gate:
     v = f.x[Ix.SPEED]
     # Midway between bogies the speed to the side comes and goes with the ends of a transition.
     shoved = v * u.angular_acceleration[Z] * c.half_base / 6.0
-    variance = c.lateral_variance + v * v * c.rate_variance + shoved * shoved
+    swaying = max(c.lateral_variance, u.force_scatter[Y])
+    variance = swaying + v * v * c.rate_variance + shoved * shoved
     update_row(f, 0, _COLUMNS, variance, gate)
 
 

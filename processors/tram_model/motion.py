@@ -233,13 +233,14 @@ def _transition_of_wheels(x: Array, s: Situation, u: Reading, dt: float, A: Arra
 
 
 @compiled
-def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> None:
+def add_noise(x: Array, P: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> None:
     """P += Q: noise of the readings with all that it moves together, walks, creep of the wheels."""
     sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
     # Per axis of the gyroscopes: how roll, pitch, yaw and the paths of the wheels follow it.
-    P[Ix.ROLL, Ix.ROLL] += s.rate_density[X] * dt
-    q = s.rate_density[Y] * dt
+    # Shaking that the readings do not resolve is white noise to what they drive, axis by axis.
+    P[Ix.ROLL, Ix.ROLL] += (s.rate_density[X] + c.gyro_aliasing * u.rate_scatter[X]) * dt
+    q = (s.rate_density[Y] + c.gyro_aliasing * u.rate_scatter[Y]) * dt
     a, b, d = tp * sr, cr, sr / cp
     P[Ix.ROLL, Ix.ROLL] += q * a * a
     P[Ix.PITCH, Ix.PITCH] += q * b * b
@@ -256,7 +257,7 @@ def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> Non
         _couple(P, Ix.HEAVE, Ix.YAW, q * v * d)
     else:
         P[Ix.UP, Ix.UP] += c.heave_density * dt
-    q = s.rate_density[Z] * dt
+    q = (s.rate_density[Z] + c.gyro_aliasing * u.rate_scatter[Z]) * dt
     a, b, d = tp * cr, -sr, cr / cp
     left = -s.wheel_sign[LEFT] * s.wheel_offset[LEFT] * (1.0 + x[Ix.SCALE_A])
     right = -s.wheel_sign[RIGHT] * s.wheel_offset[RIGHT] * (1.0 + x[Ix.SCALE_B])
@@ -283,7 +284,7 @@ def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> Non
     P[Ix.EAST, Ix.EAST] += side * sy * sy
     P[Ix.NORTH, Ix.NORTH] += side * cy * cy
     _couple(P, Ix.EAST, Ix.NORTH, -side * sy * cy)
-    P[Ix.SPEED, Ix.SPEED] += s.accel_density * dt
+    P[Ix.SPEED, Ix.SPEED] += (s.accel_density + c.accel_aliasing * u.force_scatter[X]) * dt
     P[Ix.GYRO_X, Ix.GYRO_X] += c.gyro_walk * dt
     P[Ix.GYRO_Y, Ix.GYRO_Y] += c.gyro_walk * dt
     P[Ix.GYRO_Z, Ix.GYRO_Z] += c.gyro_walk * dt
@@ -329,7 +330,7 @@ def predict_along(f: Memory, c: Parameters, s: Situation, u: Reading, dt: float)
         f.entries[k] = f.A[ROWS[k], COLUMNS[k]]
     count = ENTRY_COUNT if c.vertical_density > 0.0 else WITHOUT_HEAVE
     predict_covariance(f.P, ROWS, COLUMNS, f.entries, count, f.scratch)
-    add_noise(f.x, f.P, c, s, dt)
+    add_noise(f.x, f.P, c, s, u, dt)
 
 
 @compiled

@@ -45,6 +45,10 @@ class Parameters(Protocol):
     """Half the distance of the two bogies' pivots; 0 where the body's axis follows the rail, m."""
     wheel_bogie: float
     """How far ahead of the body's middle the bogie of the wheels is; 0 if that is not known, m."""
+    gyro_aliasing: float
+    """Density of the angles' noise over the scatter of the readings, s."""
+    accel_aliasing: float
+    """Likewise of the speed's."""
     gyro_walk: float
     """K² of the gyroscopes' biases, (rad/s)²/s."""
     accel_walk: float
@@ -99,6 +103,10 @@ class Reading(Protocol):
     """m/s²."""
     angular_acceleration: Annotated[Array, (3,)]
     """Smoothed, rad/s²."""
+    rate_scatter: Annotated[Array, (3,)]
+    """Variance of a rate, by what neighbouring readings differ, (rad/s)²."""
+    force_scatter: Annotated[Array, (3,)]
+    """Likewise of a specific force, (m/s²)²."""
     accelerometer: float
     """1 if there is one, 0 if the speed is left to itself."""
 
@@ -112,8 +120,6 @@ class Inertial(Protocol):
     """Mean of both: what acts between them."""
     smoothed_rate: Annotated[Array, (3,)]
     """Angular rates of which the angular acceleration is the slope, rad/s."""
-    shaking_variance: Annotated[Array, (3,)]
-    """Of a rate, by what neighbouring readings differ, (rad/s)²."""
     steady_rate: Annotated[Array, (3,)]
     """Smoothed angular rates up to the reading before, for rows of H, rad/s."""
 
@@ -183,6 +189,8 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Records:
     if imu is None:
         return record
     c["imu_lever"] = imu.lever_arm_m
+    c["gyro_aliasing"] = imu.gyro_aliasing**2 * READING_S
+    c["accel_aliasing"] = imu.accel_aliasing**2 * READING_S
     fixes = vehicle.gnss.delay_std_s**2 if vehicle.gnss is not None else 0.0
     if fixes + imu.delay_std_s > 0.0:
         c["clock_share"] = imu.delay_std_s**2 / (fixes + imu.delay_std_s**2)
