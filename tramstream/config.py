@@ -96,6 +96,8 @@ class Imu(Struct, frozen=True, kw_only=True):
     one that is read at 100 Hz in a car (docs/accuracy.md)."""
     accel_noise_mps2_rthz: Positive = 0.00022563
     """White noise N of the accelerometers."""
+    accel_aliasing: NotNegative = 0.0
+    """As `gyro_aliasing`, of the specific force and the speed."""
     accel_walk_mps3_rthz: Positive = 0.0000353
     """Random walk of the accelerometers' bias: B walked within a second; K is far below."""
     gyro_bias_std_radps: Positive = 0.01
@@ -162,6 +164,9 @@ class Wheels(Struct, frozen=True, kw_only=True):
     `2π · 0.3 / 2048` (docs/theory.md, section 3.5)."""
     track_m: Positive = 1.435
     """Distance between left and right wheel."""
+    bogie: Literal["", "front", "rear"] = ""
+    """Which bogie they are on, where `ekf.bogie_distance_m` is given: it turns into a curve before
+    the body does, or after. Empty: they stand for both."""
     scale_std: Positive = 0.03
     """How well `m_per_pulse`, or a wheel's speed, is known, as a part of it: a worn tyre is 4 to
     5 % smaller than a new one (docs/theory.md, section 3.5). The filter learns it."""
@@ -226,7 +231,11 @@ class Ekf(Struct, frozen=True, kw_only=True):
     heave_std_m_rts: NotNegative = 0.002
     """Way upwards after a second, which walks: springs, the body's pitch against the track's."""
     pivot_m: Number = 0.0
-    """The vehicle's origin before the point that does not slip sideways: a bogie, a rear axle."""
+    """The vehicle's origin before the point that does not slip sideways: a rear axle, or midway
+    between two bogies."""
+    bogie_distance_m: Annotated[float, Meta(ge=0, le=30)] = 0.0
+    """From the pivot of one bogie to that of the other: the body lies along the chord of the rail
+    between them, and midway it is inside of a curve. 0: its axis follows the rail."""
     pivot_std_m: NotNegative = 0.0
     """How well `pivot_m` is known; the filter learns the rest."""
     acceleration_std_mps2_rthz: Positive = 0.7

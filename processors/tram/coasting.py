@@ -21,7 +21,7 @@ from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import Records
 from tramstream.processors.tram.filter import SPEED, TramFilter
 from tramstream.processors.tram.modes import BRIDGED_S, Drive
-from tramstream.processors.tram_model.records import READING_S, X, Y, Z, situation
+from tramstream.processors.tram_model.records import X, Y, Z, situation
 from tramstream.processors.tram_model.states import Ix
 
 SPEED_STD_MPS_RTS = 1.5
@@ -55,19 +55,12 @@ class MotionNoise:
         self._coasting = self._bridged.copy()
         self._has_imu = vehicle.imu is not None
         self._yaw_rate_variance = vehicle.wheels.yaw_rate_std_radps**2
-        imu = vehicle.imu
-        self._white = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
-        self._aliasing_s = imu.gyro_aliasing**2 * READING_S if imu is not None else 0.0
         self.memory = NoiseMemory() if memory is None else memory
 
-    def inertial(self, ekf: TramFilter, shaking_variance: Array) -> None:
-        """Go on with a reading; `shaking_variance` is what its neighbours differ by, (rad/s)²."""
+    def inertial(self, ekf: TramFilter) -> None:
+        """Go on with a reading."""
         if self.memory.drive is not Drive.INERTIAL:
             self._tell(ekf, Drive.INERTIAL, self._inertial)
-        if self._aliasing_s:
-            # Shaking that the readings do not resolve is white noise to the angles, axis by axis.
-            rates = shaking_variance * self._aliasing_s + self._white
-            ekf.set_motion_noise(float(self._inertial[0]), rates)
 
     def bridge(self, ekf: TramFilter, pause_s: float) -> None:
         """Go on with the readings on either side of a pause: they tell the less, the longer."""

@@ -120,6 +120,8 @@ class Navigation:
         self._divergence = Divergence(vehicle, self.fixes.tau_s, memory.divergence)
         self._lateral, self._vertical = LateralForce(self.readings.numbers), VerticalConstraint()
         imu = vehicle.imu
+        self._inside_m2 = vehicle.ekf.bogie_distance_m**2 / 8
+        """Times a curvature, how far inside of the rail the chord is midway."""
         self._heaves = bool(self.ekf.parameters["vertical_density"][0] > 0.0)
         self._white_rate = imu.gyro_noise_radps_rthz**2 if imu is not None else 0.0
         self._white_force = imu.accel_noise_mps2_rthz**2 if imu is not None else 0.0

@@ -89,7 +89,6 @@ class Readings:
         self.between: Array = numbers(self.inertial["between"])
         """What acts between the last two, as plain numbers."""
         self.memory = ReadingsMemory(self.numbers)
-        self._shaking: Array = self.inertial["shaking_variance"][0]
         self._now, self._straight = self.inertial["now"], self.inertial["straight"].data
         imu = vehicle.imu
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
@@ -148,7 +147,7 @@ class Readings:
             self._noise.follow_line(ekf, self.inertial["between"])
             return Became.DRAWN
         if drive is Drive.INERTIAL:
-            self._noise.inertial(ekf, self._shaking)
+            self._noise.inertial(ekf)
         elif drive is Drive.BRIDGED:
             self._noise.bridge(ekf, dt)
         else:

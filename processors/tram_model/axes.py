@@ -109,7 +109,7 @@ def take_reading(
         i.before = i.now
         for k in range(3):
             i.smoothed_rate[k] = i.steady_rate[k] = now.angular_rate[k]
-            i.shaking_variance[k] = 0.0
+            now.rate_scatter[k] = now.force_scatter[k] = 0.0
     _smooth(i, dt)
     return TAKEN
 
@@ -167,6 +167,7 @@ def _goes_straight_on(i: Inertial) -> bool:
 def _smooth(i: Inertial, dt: float) -> None:
     """Find what acts between the two readings, and what is smoothed over all."""
     before, now, between = i.before, i.now, i.between
+    shaking = min(1.0, dt / SHAKING_S)
     for k in range(3):
         between.angular_rate[k] = 0.5 * (before.angular_rate[k] + now.angular_rate[k])
         between.specific_force[k] = 0.5 * (before.specific_force[k] + now.specific_force[k])
@@ -175,10 +176,13 @@ def _smooth(i: Inertial, dt: float) -> None:
         rising = (between.angular_rate[k] - i.smoothed_rate[k]) / SMOOTHING_S
         i.smoothed_rate[k] += dt * rising
         now.angular_acceleration[k] = between.angular_acceleration[k] = rising
-        apart = now.angular_rate[k] - before.angular_rate[k]
         i.steady_rate[k] += min(1.0, dt / STEADY_S) * (before.angular_rate[k] - i.steady_rate[k])
-        shaking = 0.5 * apart * apart - i.shaking_variance[k]
-        i.shaking_variance[k] += min(1.0, dt / SHAKING_S) * shaking
+        turned = now.angular_rate[k] - before.angular_rate[k]
+        pushed = now.specific_force[k] - before.specific_force[k]
+        now.rate_scatter[k] += shaking * (0.5 * turned * turned - now.rate_scatter[k])
+        now.force_scatter[k] += shaking * (0.5 * pushed * pushed - now.force_scatter[k])
+        between.rate_scatter[k] = now.rate_scatter[k]
+        between.force_scatter[k] = now.force_scatter[k]
     between.accelerometer = 1.0
 
 

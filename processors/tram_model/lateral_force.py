@@ -83,7 +83,11 @@ def take_reading(f: Memory, c: Parameters, u: Reading, steady_rate: Array, gate:
     f.y[0] = innovation(f.x, c, u)
     jacobian(f.x, c, steady_rate, f.acceleration, f.H[0])
     v = f.x[Ix.SPEED]
-    update_row(f, 0, _COLUMNS, c.lateral_variance + v * v * c.rate_variance, gate)
+    # Midway between bogies the speed to the side comes and goes with the ends of a transition.
+    shoved = v * u.angular_acceleration[Z] * c.half_base / 6.0
+    swaying = max(c.lateral_variance, u.force_scatter[Y])
+    variance = swaying + v * v * c.rate_variance + shoved * shoved
+    update_row(f, 0, _COLUMNS, variance, gate)
 
 
 @compiled

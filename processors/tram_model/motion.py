@@ -45,6 +45,11 @@ from tramstream.processors.tram_model.states import (
     Ix,
 )
 
+DRIFTING_MPS = 1.0
+"""Slower, the angular acceleration is mostly noise against what the rail does; chosen by hand."""
+STEERING_S = 0.05
+"""Time constant of a bogie's angle in the body, for noise is no steering; chosen by hand."""
+
 
 @compiled
 def rates(x: Array, angular_rate: Array) -> tuple[float, float, float]:
@@ -88,6 +93,26 @@ def heaving(x: Array, c: Parameters, u: Reading, wx: float, wy: float, wz: float
 
 
 @compiled
+def drift(c: Parameters, speed: float, turning_up: float) -> float:
+    """Speed to the left, m/s, of the point midway between two bogies, where the curve tightens.
+
+    On a rail whose curvature changes evenly the chord turns before the rail midway does
+    (docs/theory.md, section 5.2); `turning_up` is the smoothed angular acceleration about z.
+    """
+    if abs(speed) < DRIFTING_MPS:
+        return 0.0
+    return turning_up * c.half_base * c.half_base / (3.0 * speed)
+
+
+@compiled
+def bogie_speed(c: Parameters, speed: float, yaw_rate: float) -> float:
+    """Speed of a bogie along its rail, m/s: the body between the two takes the shorter way."""
+    swing = yaw_rate * c.half_base
+    along = math.sqrt(speed * speed + swing * swing)
+    return along if speed >= 0.0 else -along
+
+
+@compiled
 def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[float, float]:
     """Move x on by `dt` s with the reading `u`; midpoint rule.
 
@@ -102,12 +127,14 @@ def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[
     turning = sr * wy + cr * wz
     yaw_rate, pitch_rate = turning / cp, cr * wy - sr * wz
     accel = u.accelerometer * acceleration(x, c, u, wx, wy, wz)
+    sideways = drift(c, x[Ix.SPEED], u.angular_acceleration[Z])
+    accel += u.accelerometer * sideways * wz
     speed = x[Ix.SPEED] + 0.5 * dt * accel
     pitch = x[Ix.PITCH] + 0.5 * dt * pitch_rate
     yaw = x[Ix.YAW] + 0.5 * dt * yaw_rate
-    level = speed * math.cos(pitch) * dt
-    x[Ix.EAST] += level * math.cos(yaw)
-    x[Ix.NORTH] += level * math.sin(yaw)
+    level, left = speed * math.cos(pitch) * dt, sideways * dt
+    x[Ix.EAST] += level * math.cos(yaw) - left * math.sin(yaw)
+    x[Ix.NORTH] += level * math.sin(yaw) + left * math.cos(yaw)
     x[Ix.UP] -= speed * math.sin(pitch) * dt
     if c.vertical_density > 0.0:
         rising = u.accelerometer * heaving(x, c, u, wx, wy, wz)
@@ -117,9 +144,10 @@ def move(x: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> tuple[
     x[Ix.ROLL] += dt * (wx + tp * turning)
     x[Ix.PITCH] += dt * pitch_rate
     x[Ix.YAW] += dt * yaw_rate
+    rolling = bogie_speed(c, speed, wz)
     for wheel in range(2):
         sign, offset = s.wheel_sign[wheel], s.wheel_offset[wheel]
-        x[Ix.PATH_A + wheel] += dt * sign * (speed - offset * wz) * (1.0 + x[Ix.SCALE_A + wheel])
+        x[Ix.PATH_A + wheel] += dt * sign * (rolling - offset * wz) * (1.0 + x[Ix.SCALE_A + wheel])
     keep = math.exp(-s.fix_decay * dt)
     x[Ix.GNSS_EAST] *= keep
     x[Ix.GNSS_NORTH] *= keep
@@ -210,13 +238,14 @@ def _transition_of_wheels(x: Array, s: Situation, u: Reading, dt: float, A: Arra
 
 
 @compiled
-def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> None:
+def add_noise(x: Array, P: Array, c: Parameters, s: Situation, u: Reading, dt: float) -> None:
     """P += Q: noise of the readings with all that it moves together, walks, creep of the wheels."""
     sr, cr = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     cp, tp = math.cos(x[Ix.PITCH]), math.tan(x[Ix.PITCH])
     # Per axis of the gyroscopes: how roll, pitch, yaw and the paths of the wheels follow it.
-    P[Ix.ROLL, Ix.ROLL] += s.rate_density[X] * dt
-    q = s.rate_density[Y] * dt
+    # Shaking that the readings do not resolve is white noise to what they drive, axis by axis.
+    P[Ix.ROLL, Ix.ROLL] += (s.rate_density[X] + c.gyro_aliasing * u.rate_scatter[X]) * dt
+    q = (s.rate_density[Y] + c.gyro_aliasing * u.rate_scatter[Y]) * dt
     a, b, d = tp * sr, cr, sr / cp
     P[Ix.ROLL, Ix.ROLL] += q * a * a
     P[Ix.PITCH, Ix.PITCH] += q * b * b
@@ -233,7 +262,7 @@ def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> Non
         _couple(P, Ix.HEAVE, Ix.YAW, q * v * d)
     else:
         P[Ix.UP, Ix.UP] += c.heave_density * dt
-    q = s.rate_density[Z] * dt
+    q = (s.rate_density[Z] + c.gyro_aliasing * u.rate_scatter[Z]) * dt
     a, b, d = tp * cr, -sr, cr / cp
     left = -s.wheel_sign[LEFT] * s.wheel_offset[LEFT] * (1.0 + x[Ix.SCALE_A])
     right = -s.wheel_sign[RIGHT] * s.wheel_offset[RIGHT] * (1.0 + x[Ix.SCALE_B])
@@ -260,7 +289,7 @@ def add_noise(x: Array, P: Array, c: Parameters, s: Situation, dt: float) -> Non
     P[Ix.EAST, Ix.EAST] += side * sy * sy
     P[Ix.NORTH, Ix.NORTH] += side * cy * cy
     _couple(P, Ix.EAST, Ix.NORTH, -side * sy * cy)
-    P[Ix.SPEED, Ix.SPEED] += s.accel_density * dt
+    P[Ix.SPEED, Ix.SPEED] += (s.accel_density + c.accel_aliasing * u.force_scatter[X]) * dt
     P[Ix.GYRO_X, Ix.GYRO_X] += c.gyro_walk * dt
     P[Ix.GYRO_Y, Ix.GYRO_Y] += c.gyro_walk * dt
     P[Ix.GYRO_Z, Ix.GYRO_Z] += c.gyro_walk * dt
@@ -280,10 +309,24 @@ def _couple(P: Array, i: int, j: int, value: float) -> None:
 
 
 @compiled
+def steer(f: Memory, c: Parameters, s: Situation, dt: float) -> None:
+    """Let the wheels turn with their bogie in the body, as the curve has it."""
+    v = f.x[Ix.SPEED]
+    if c.wheel_bogie == 0.0 or abs(v) < DRIFTING_MPS:
+        return
+    turned = min(1.0, dt / STEERING_S) * (c.wheel_bogie * f.yaw_rate / v - f.bogie_angle)
+    f.bogie_angle += turned
+    for wheel in range(2):
+        counted = s.wheel_sign[wheel] * (1.0 + f.x[Ix.SCALE_A + wheel])
+        f.x[Ix.PATH_A + wheel] -= counted * s.wheel_offset[wheel] * turned
+
+
+@compiled
 def predict_state(f: Memory, c: Parameters, s: Situation, u: Reading, dt: float) -> None:
     """Move state and covariance on by `dt` s with the reading `u`."""
     predict_along(f, c, s, u, dt)
     f.acceleration, f.yaw_rate = move(f.x, c, s, u, dt)
+    steer(f, c, s, dt)
 
 
 @compiled
@@ -294,7 +337,7 @@ def predict_along(f: Memory, c: Parameters, s: Situation, u: Reading, dt: float)
         f.entries[k] = f.A[ROWS[k], COLUMNS[k]]
     count = ENTRY_COUNT if c.vertical_density > 0.0 else WITHOUT_HEAVE
     predict_covariance(f.P, ROWS, COLUMNS, f.entries, count, f.scratch)
-    add_noise(f.x, f.P, c, s, dt)
+    add_noise(f.x, f.P, c, s, u, dt)
 
 
 @compiled

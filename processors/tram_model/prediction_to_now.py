@@ -122,9 +122,10 @@ def _predict(
         if dt > 0.0:
             f.acceleration, f.yaw_rate = move(x, c, s, u, dt)
         total += dt
-    transition(before.x, c, s, kept[count - 1].reading, total, f.A)
+    newest = kept[count - 1].reading
+    transition(before.x, c, s, newest, total, f.A)
     _lead_covariance(before.P, P, f.A, f.scratch)
-    add_noise(x, P, c, s, total)
+    add_noise(x, P, c, s, newest, total)
 
 
 @compiled

@@ -41,6 +41,14 @@ class Parameters(Protocol):
     """From the vehicle's origin to the case of the inertial sensor, resolved in v, m."""
     antenna_lever: Annotated[Array, (3,)]
     """From the vehicle's origin to the antenna, resolved in v, m."""
+    half_base: float
+    """Half the distance of the two bogies' pivots; 0 where the body's axis follows the rail, m."""
+    wheel_bogie: float
+    """How far ahead of the body's middle the bogie of the wheels is; 0 if that is not known, m."""
+    gyro_aliasing: float
+    """Density of the angles' noise over the scatter of the readings, s."""
+    accel_aliasing: float
+    """Likewise of the speed's."""
     gyro_walk: float
     """K² of the gyroscopes' biases, (rad/s)²/s."""
     accel_walk: float
@@ -99,6 +107,10 @@ class Reading(Protocol):
     """m/s²."""
     angular_acceleration: Annotated[Array, (3,)]
     """Smoothed, rad/s²."""
+    rate_scatter: Annotated[Array, (3,)]
+    """Variance of a rate, by what neighbouring readings differ, (rad/s)²."""
+    force_scatter: Annotated[Array, (3,)]
+    """Likewise of a specific force, (m/s²)²."""
     accelerometer: float
     """1 if there is one, 0 if the speed is left to itself."""
 
@@ -112,8 +124,6 @@ class Inertial(Protocol):
     """Mean of both: what acts between them."""
     smoothed_rate: Annotated[Array, (3,)]
     """Angular rates of which the angular acceleration is the slope, rad/s."""
-    shaking_variance: Annotated[Array, (3,)]
-    """Of a rate, by what neighbouring readings differ, (rad/s)²."""
     steady_rate: Annotated[Array, (3,)]
     """Smoothed angular rates up to the reading before, for rows of H, rad/s."""
     straight: float
@@ -141,6 +151,8 @@ class Memory(Protocol):
     """v̇ of the last prediction, m/s²."""
     yaw_rate: float
     """ψ̇ of the last prediction, rad/s."""
+    bogie_angle: float
+    """By which the bogie of the wheels is turned to the left in the body, rad."""
     A: Annotated[Array, (SIZE, SIZE)]
     """Of the last prediction, F = I + A; only the places of `states.ENTRIES` mean anything."""
     entries: Annotated[Array, (ENTRY_COUNT,)]
@@ -173,6 +185,7 @@ SITUATION = dtype_of(Situation)
 READING = dtype_of(Reading)
 INERTIAL = dtype_of(Inertial)
 MEMORY = dtype_of(Memory)
+_AHEAD = {"front": 1.0, "rear": -1.0, "": 0.0}
 READING_NUMBERS = READING.itemsize // 8
 
 
@@ -185,6 +198,8 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Records:
     c["creep_density"] = ekf.wheel_creep_m_rtm**2
     if vehicle.gnss is not None:
         c["antenna_lever"] = vehicle.gnss.lever_arm_m
+    c["half_base"] = ekf.bogie_distance_m / 2
+    c["wheel_bogie"] = _AHEAD[vehicle.wheels.bogie] * ekf.bogie_distance_m / 2
     c["side_density"] = ekf.side_slip_std_m_rts**2
     c["heave_density"] = ekf.heave_std_m_rts**2
     c["heave_variance"] = c["heave_density"] / READING_S
@@ -192,6 +207,8 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Records:
     if imu is None:
         return record
     c["imu_lever"] = imu.lever_arm_m
+    c["gyro_aliasing"] = imu.gyro_aliasing**2 * READING_S
+    c["accel_aliasing"] = imu.accel_aliasing**2 * READING_S
     fixes = vehicle.gnss.delay_std_s**2 if vehicle.gnss is not None else 0.0
     if fixes + imu.delay_std_s > 0.0:
         c["clock_share"] = imu.delay_std_s**2 / (fixes + imu.delay_std_s**2)
