@@ -65,9 +65,9 @@ NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
-HEAVIEST = 100.0
-"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
-tell anything; chosen by hand."""
+HEAVIEST, HEAVIEST_M = 100.0, 5.0
+"""... but no more than by this, ten deviations, or to a deviation of so many metres if that is
+more. Beyond, every fix would be accepted and none would tell anything; chosen by hand."""
 UNEXPLAINED_SIGMA = 2.0
 """Fixes that are further from a vehicle that stands cast doubt on that; chosen by hand."""
 ABSORB_S = 8.0
@@ -243,9 +243,7 @@ class Fixes:
             memory.std_m = std
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         heavy = (east * east + north * north) / (HEAVY_SIGMA * std) ** 2
-        heavy, heavy_up = (
-            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
-        )
+        heavy, heavy_up = _bounded(heavy, std), _bounded((up / (HEAVY_SIGMA * std_up)) ** 2, std_up)
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * std * std * heavy / self.tau_s
         up_density = 2.0 * white * std_up * std_up * heavy_up / self.tau_s
@@ -342,6 +340,11 @@ class Fixes:
         self._move(ekf, east, north, std)
         ekf.widen(Ix.YAW, TURNED_STD_RAD)
         return [POSITION_TAKEN(key=_KEY, away_m=error, lasted_s=lasted_s)]
+
+
+def _bounded(heavy: float, std: float) -> float:
+    """By how much the noise of an error grows, which has a bound."""
+    return min(max(1.0, heavy), max(HEAVIEST, (HEAVIEST_M / std) ** 2))
 
 
 def _velocity_std(fix: GnssFix) -> float:
