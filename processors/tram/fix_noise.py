@@ -36,9 +36,9 @@ NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
-HEAVIEST = 100.0
-"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
-tell anything; chosen by hand."""
+HEAVIEST, HEAVIEST_M = 100.0, 5.0
+"""... but no more than by this, ten deviations, or to a deviation of so many metres if that is
+more. Beyond, every fix would be accepted and none would tell anything; chosen by hand."""
 STEP = 1.1
 """What is learned of the error is told to the filter when it is off by this factor; by hand."""
 
@@ -110,10 +110,8 @@ class FixNoise:
         self._set_slow_error(ekf, memory.std_m * math.sqrt(learned.slow))
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
-        heavy = (east * east + north * north) / (usual * usual)
-        heavy, heavy_up = (
-            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
-        )
+        heavy = _bounded((east * east + north * north) / (usual * usual), max(fast, std))
+        heavy_up = _bounded((up / (HEAVY_SIGMA * std_up)) ** 2, std_up)
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * fast * fast * heavy / self._tau_s
         up_density = 2.0 * white * std_up * std_up * heavy_up / self._tau_s
@@ -167,6 +165,11 @@ class FixNoise:
         if not verdicts[0].accepted:  # else the error's state has it
             east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
         self._learned.see(stamp_ns, east, north, std)
+
+
+def _bounded(heavy: float, std: float) -> float:
+    """By how much the noise of an error grows, which has a bound."""
+    return min(max(1.0, heavy), max(HEAVIEST, (HEAVIEST_M / std) ** 2))
 
 
 def error_of_fixes(ekf: TramFilter) -> tuple[float, float]:
