@@ -200,7 +200,7 @@ class Fixes:
             off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
-        self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
+        found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
         verdicts += ekf.apply(GnssHeight(z[2], white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rides import Ride, altered, judged, laid, localised, ridden, run
+from rides import EVERY, Ride, altered, judged, laid, localised, ridden, run
 from scipy.stats import chi2
 from test_tram_faults import PLAN, city
 
@@ -19,6 +19,7 @@ from tramstream.bridges.gnss.nmea import Epoch, fix_of
 from tramstream.clock import S
 from tramstream.estimation.fixes import deviations, velocity_l
 from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
+from tramstream.processors.tram.events import RECEIVER_BOASTS
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -165,3 +166,22 @@ def test_height_of_a_first_fix_that_was_far_away_does_not_stay() -> None:
     errors = localised(ride, frames).within(40.0, 60.0)
     assert errors.horizontal_m.max() < 5.0
     assert np.abs(errors.p_l[:, 2]).max() < 8.0
+
+
+def test_receiver_that_boasts_tenfold_is_said_and_weighed() -> None:
+    """Errors of 0.5 m on an axis, stated as 0.05 m."""
+    gnss = {"stated_horizontal_std_m": 0.05, "stated_vertical_std_m": 0.1, "rate_hz": 5.0}
+    ride = ridden(laid(PLAN), city(gnss=gnss), 4, 110.0)
+    localiser, kept, said = TramLocaliser(ride.simulation.vehicle), [], []
+    for frame in ride.frames:
+        estimate = localiser.take(frame)
+        found = [each.kind for each in localiser.complaints()]
+        said += [frame.stamp_ns] * found.count(RECEIVER_BOASTS)
+        if estimate is not None:
+            kept.append(estimate)
+    assert len(said) == 1
+    assert (said[0] - ride.frames[0].stamp_ns) / S < 60.0
+    errors = judged(ride.simulation, localiser, kept[::EVERY]).within(60.0, 110.0)
+    claimed = errors.covariance[:, :2, :2]
+    distance = np.linalg.solve(claimed, errors.p_l[:, :2, None])[:, :, 0]
+    assert np.mean(np.sum(distance * errors.p_l[:, :2], axis=1)) < 6.0
