@@ -8,8 +8,8 @@ from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
 from tramstream.estimation.localiser import Localiser
 from tramstream.processors.kaspar2023.localiser import Kaspar2023Localiser
+from tramstream.processors.smoothing.trace import Tracer
 from tramstream.processors.tram.localiser import TramLocaliser
-from tramstream.processors.tram.trace import Tracer
 
 MODELS: dict[str, Callable[[Vehicle], Localiser]] = {
     TramLocaliser.name: TramLocaliser,

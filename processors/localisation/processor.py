@@ -34,9 +34,9 @@ from tramstream.processors.localisation import events as own_events
 from tramstream.processors.localisation.delayed import Delayed, DelayedMemory, Late
 from tramstream.processors.localisation.events import MAP_UNMATCHED, TRACK_UNHEARD
 from tramstream.processors.localisation.models import localiser, traced
+from tramstream.processors.smoothing.smoother import smooth
+from tramstream.processors.smoothing.trace import Trace, Tracer
 from tramstream.processors.tram import events as tram_events
-from tramstream.processors.tram.smoother import smooth
-from tramstream.processors.tram.trace import Trace, Tracer
 from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter, TrackGeometry
 from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 

@@ -1,1 +1,1 @@
-"""The localiser `tram`: states, motion, measurements, modes, smoother."""
+"""The localiser `tram`: states, motion, measurements, modes."""

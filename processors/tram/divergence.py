@@ -32,8 +32,10 @@ YAW = int(Ix.YAW)
 REFUSED_S = 1.0
 """Sources that have been refused for so long, without a word that fitted, contradict the filter;
 chosen by hand, guarded by `tests/processors/tram/test_divergence.py`."""
-ALONE_S = 3.0
-"""So long the fixes must contradict it where only their places speak; chosen by hand."""
+PLACES = {"position", "way"}
+ALONE_S, ALONE_STD_RAD = 3.0, 0.07
+"""So long the fixes must contradict it where only their places speak, and a heading that they tell
+is no better than this: multipath moves places too; chosen by hand."""
 PAUSE_S = 0.3
 """A source that comes with every reading and was not refused for so long fits again; by hand."""
 WINDOW_S = 2.5
@@ -202,16 +204,13 @@ class Divergence:
     ) -> Offset | None:
         """What the fixes show of the filter's velocity, where two of them say the same."""
         if velocity is None:
-            alone = lasted.keys() <= {"position", "way"}
-            return way if not alone or lasted["way"] > ALONE_S else None
+            return way if not lasted.keys() <= PLACES or lasted["way"] > ALONE_S else None
         if "wheels" in lasted:
             speed, yaw = ekf.state[SPEED], ekf.state[YAW]
             east = speed * math.cos(yaw) + velocity.east_mps
             measured = math.hypot(east, speed * math.sin(yaw) + velocity.north_mps)
-            if (
-                abs(wheels.speed_mps(ekf.stamp_ns) - measured)
-                < WHEELS_MPS + WHEELS_SHARE * measured
-            ):
+            apart_mps = abs(wheels.speed_mps(ekf.stamp_ns) - measured)
+            if apart_mps < WHEELS_MPS + WHEELS_SHARE * measured:
                 return velocity
         if way is None:
             return None
@@ -262,6 +261,8 @@ class Divergence:
         turned = math.atan2(sign * across, sign * along)
         std = max(SPEED_FLOOR_MPS, offset.std_mps)
         std_rad = max(HEADING_FLOOR_RAD, offset.std_mps / max(shown, LEAST_MPS))
+        if lasted.keys() <= PLACES:
+            std_rad = max(std_rad, ALONE_STD_RAD)
         faster = sign * shown - speed
         heading = shown > LEAST_MPS and abs(turned) > SURE_SIGMA * math.hypot(
             std_rad, math.sqrt(ekf.variances[YAW])
@@ -295,6 +296,8 @@ class Divergence:
             heading_off_rad=turned_rad,
             speed_off_mps=faster_mps,
         )
+        if lasted.keys() <= PLACES:  # multipath may say so again and again
+            return [said]
         return [said, *self._blame(ekf.stamp_ns)]
 
     def doubt(self, ekf: TramFilter, wheels: WheelPair) -> None:

@@ -117,6 +117,16 @@ IMPOSSIBLE_READING = define(
     cure="look at the device imu and its mounting",
     key=str,
 )
+RECEIVER_BOASTS = define(
+    "tram.receiver_boasts",
+    "{key}: fixes err by {times} times what the receiver states, {stated_m}; they are weighed so",
+    cause="The receiver is too sure of itself, or its accuracy comes in a wrong unit. "
+    "How far fixes are from the vehicle's way shows it.",
+    cure="check what the receiver states; a multiple that stays belongs into its settings",
+    key=str,
+    times=float,
+    stated_m=float,
+)
 DRAWN_STRAIGHT = define(
     "tram.drawn_straight",
     "{key}: the readings lie on straight lines; they were lost, and are believed as little",

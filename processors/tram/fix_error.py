@@ -36,7 +36,10 @@ TRUSTED = 1.7
 """Up to this times the stated variance the receiver is believed; chosen by hand."""
 STEADY = 1.5
 """A variance that is seen counts for so much, if it is less than what is stated: it is seen for a
-few minutes only; and with what is not seen, receivers are as wrong as this; chosen by hand."""
+few minutes only; chosen by hand."""
+UNSEEN, SEEN = 2.0, 0.9
+"""What is seen to be less than the second of these times the stated variance lasts for minutes, and
+is so many times what is missing: in streets receivers are too sure of themselves; by hand."""
 LEAST_SHARE = 0.1
 """Of the stated variance that is always taken to change within the correlation time; by hand."""
 SLOW_SHARE = 0.15
@@ -93,7 +96,7 @@ class FixError:
     def slow(self) -> float:
         """Variance of what lasts for minutes, over the stated one."""
         fast, memory = self.fast, self.memory
-        unseen = STEADY * (1.0 - memory.whole)
+        unseen = UNSEEN * (SEEN - memory.whole)
         return max(unseen, memory.across - fast, SLOW_SHARE * max(fast, 1.0))
 
     @property

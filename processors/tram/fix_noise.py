@@ -13,15 +13,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from tramstream import keys
 from tramstream.clock import S
 from tramstream.estimation.fixes import deviations
 from tramstream.estimation.localiser import Verdict
+from tramstream.events.kinds import Event
+from tramstream.processors.tram.events import RECEIVER_BOASTS
 from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
 from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
+_KEY = keys.GNSS_FIX.path
 _EAST, _NORTH, _SLOW_EAST, _SLOW_NORTH = (
     int(each) for each in (Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH)
 )
@@ -36,9 +40,12 @@ NEW_REGIME = 2.0
 """Accuracy that changes by this factor is a new situation with an error of its own."""
 HEAVY_SIGMA = 2.5
 """Beyond this the error is taken for larger than stated: its noise grows with it."""
-HEAVIEST = 100.0
-"""... but no more than by this: ten deviations. Beyond, every fix would be accepted and none would
-tell anything; chosen by hand."""
+HEAVIEST, HEAVIEST_M = 100.0, 5.0
+"""... but no more than by this, ten deviations, or to a deviation of so many metres if that is
+more. Beyond, every fix would be accepted and none would tell anything; chosen by hand."""
+BOAST = 3.0
+"""A receiver that errs by so many times what it states is said to boast; until it is half of that.
+Chosen by hand, guarded by `test_receiver_that_boasts_tenfold_is_said_and_weighed`."""
 STEP = 1.1
 """What is learned of the error is told to the filter when it is off by this factor; by hand."""
 
@@ -55,6 +62,8 @@ class FixNoiseMemory:
     """The largest variance over the stated one that the place has been doubted for."""
     slow_m: float = 0.0
     """Deviation that the slow error's state began with; 0 before the first fix."""
+    boasts: bool = False
+    """Whether the receiver has been said to."""
     learned: FixErrorMemory = field(default_factory=FixErrorMemory)
 
 
@@ -110,10 +119,8 @@ class FixNoise:
         self._set_slow_error(ekf, memory.std_m * math.sqrt(learned.slow))
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
-        heavy = (east * east + north * north) / (usual * usual)
-        heavy, heavy_up = (
-            min(max(1.0, each), HEAVIEST) for each in (heavy, (up / (HEAVY_SIGMA * std_up)) ** 2)
-        )
+        heavy = _bounded((east * east + north * north) / (usual * usual), max(fast, std))
+        heavy_up = _bounded((up / (HEAVY_SIGMA * std_up)) ** 2, std_up)
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * fast * fast * heavy / self._tau_s
         up_density = 2.0 * white * std_up * std_up * heavy_up / self._tau_s
@@ -161,12 +168,23 @@ class FixNoise:
             across_m = normal[0] * east + normal[1] * north
             self._learned.see_across(ekf.stamp_ns, across_m, variance_m2, self.memory.std_m)
 
-    def learn(self, stamp_ns: int, ekf: TramFilter, verdicts: list[Verdict], std: float) -> None:
-        """Learn of the error that the fix has by the filter's place."""
+    def learn(
+        self, stamp_ns: int, ekf: TramFilter, verdicts: list[Verdict], std: float
+    ) -> list[Event]:
+        """Learn of the error that the fix has by the filter's place; gives what there is to say."""
         east, north = error_of_fixes(ekf)
         if not verdicts[0].accepted:  # else the error's state has it
             east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
         self._learned.see(stamp_ns, east, north, std)
+        memory, times = self.memory, self._learned.scale
+        boasts = times > (BOAST / 2.0 if memory.boasts else BOAST)
+        said, memory.boasts = memory.boasts or not boasts, boasts
+        return [] if said else [RECEIVER_BOASTS(key=_KEY, times=times, stated_m=std)]
+
+
+def _bounded(heavy: float, std: float) -> float:
+    """By how much the noise of an error grows, which has a bound."""
+    return min(max(1.0, heavy), max(HEAVIEST, (HEAVIEST_M / std) ** 2))
 
 
 def error_of_fixes(ekf: TramFilter) -> tuple[float, float]:

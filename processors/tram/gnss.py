@@ -200,12 +200,12 @@ class Fixes:
             off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
-        self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
+        found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
         verdicts += ekf.apply(GnssHeight(z[2], white_up))
         if not verdicts[2].accepted:
             self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
-            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, std)
+            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, self.noise.std_m)
         else:
             if memory.jumped_ns:
                 lasted_s = (fix.stamp_ns - memory.jumped_ns) / S
@@ -226,7 +226,7 @@ class Fixes:
                 facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_mps": fix.speed_std_mps}
                 facts |= {"innovation_mps": off_mps, "limit_mps": limit_mps}
                 found.append(VELOCITY_REFUSED(key=_KEY, **facts))
-        found += self._detect_divergence(fix.stamp_ns, ekf, std, standing)
+        found += self._detect_divergence(fix.stamp_ns, ekf, self.noise.std_m, standing)
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
@@ -279,7 +279,7 @@ class Fixes:
         """Let the place be where a fix is that was refused, by its verdicts."""
         east, north = error_of_fixes(ekf)
         east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
-        self._move(ekf, east, north, self.memory.noise.std_m)
+        self._move(ekf, east, north, self.noise.std_m)
         self.memory.refused_ns = self.memory.absurd_ns = self.memory.jumped_ns = 0
 
     def _move(self, ekf: TramFilter, east: float, north: float, std: float) -> None:

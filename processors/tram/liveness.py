@@ -22,11 +22,14 @@ from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
 
-LOOK_S = 0.5
+LOOK_S = 0.25
 """So often wheels are looked at; chosen by hand."""
 STILL_S = 3.0
 """A counter that stands for so long, while its vehicle moves, is dead: longer than wheels stay
 locked; chosen by hand, guarded by `tests/processors/tram/test_liveness.py`."""
+LONG_S, FAST_S = 6.0, 2.0
+"""No wheel is locked for the first of these; then a receiver that measures velocity need see a fast
+vehicle for the second only; chosen by hand."""
 OTHERS_M = 6.0
 """Way of the other wheel meanwhile: 2 m/s; chosen by hand."""
 FROZEN_M = 2.0
@@ -62,6 +65,8 @@ class LivenessMemory:
     """Since when fixes have been there; 0 before the first."""
     fix_ns: int = 0
     """Of the last one."""
+    measures: bool = False
+    """Whether the receiver measures velocity: places alone may wander while a vehicle stands."""
     gone_m: float = 0.0
     """How far the vehicle has gone meanwhile."""
 
@@ -128,7 +133,9 @@ class Liveness:
             wheel.others += _most(before, marks, name)
             others_m = wheel.others * self._m_per_pulse
             still_s = (stamp_ns - wheel.since_ns) / S
-            if still_s < STILL_S or (others_m < OTHERS_M and fast_s < STILL_S):
+            sooner = still_s > LONG_S and self.memory.measures
+            enough_s = FAST_S if sooner else STILL_S
+            if still_s < STILL_S or (others_m < OTHERS_M and fast_s < enough_s):
                 continue
             wheel.dead = True
             facts = {"wheel": name, "still_s": still_s, "others_m": others_m, "fast_s": fast_s}
@@ -157,6 +164,7 @@ class Liveness:
             return False
         dt_s = min((fix.stamp_ns - memory.fix_ns) / S, 1.0) if memory.fix_ns else 0.0
         memory.fix_ns = fix.stamp_ns
+        memory.measures = fix.HasField("vel_e_mps")
         place = fix.latitude_deg, fix.longitude_deg
         if place != memory.place:
             memory.place, memory.place_ns, memory.gone_m = place, fix.stamp_ns, 0.0

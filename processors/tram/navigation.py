@@ -303,7 +303,10 @@ class Navigation:
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        memory.given += ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        across = ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        if across and not across[0].accepted:
+            self._divergence.refuse_track(ekf.stamp_ns)
+        memory.given += across
         self.fixes.noise.on_track(ekf, n, told.across_variance)
         heading = (told.yaw_off_rad, told.bend_per_m, east, north, yaw, told.yaw_variance)
         memory.given += ekf.apply(TrackHeading(*n, *heading, gate))

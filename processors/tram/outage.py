@@ -31,7 +31,7 @@ SILENT_S = {NO_IMU: 1.0, NO_WHEELS: 5.0, NO_FIX: 60.0}
 """So long a silence is said."""
 _KEYS = {NO_IMU: keys.IMU_BATCH, NO_WHEELS: keys.ODO_WHEELS, NO_FIX: keys.GNSS_FIX}
 _IMU, _WHEELS, _FIXES = (kind.name for kind in SILENT_S)
-SLIPPING_S = 5.0
+SLIPPING_S = 4.0
 ROLLED_PULSES = 3
 """A wheel may rock by so much while its vehicle stands."""
 SAME_PLACE_M = 10.0

@@ -92,17 +92,18 @@ def take_reading(
     if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
         return IMPOSSIBLE
     i = inertial.view(INERTIAL)[0]
-    if _repeats(i, gx, gy, gz, ax, ay, az):
+    rate, force = np.empty(3), np.empty(3)
+    for k in range(3):
+        rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
+        force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
+    i.straight = i.straight + 1.0 if _goes_straight_on(i, rate, force) else 0.0
+    # A line may be level in an axis, which does not make that axis stuck.
+    if i.straight < STRAIGHT_READINGS and _repeats(i, gx, gy, gz, ax, ay, az):
         return STUCK
-    for k in range(3):  # `between` is scratch here: the readings before are needed yet
-        i.between.angular_rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
-        i.between.specific_force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
-    i.straight = i.straight + 1.0 if _goes_straight_on(i) else 0.0
     i.before = i.now
     now = i.now
     for k in range(3):
-        now.angular_rate[k] = C_vb[k, 0] * gx + C_vb[k, 1] * gy + C_vb[k, 2] * gz
-        now.specific_force[k] = C_vb[k, 0] * ax + C_vb[k, 1] * ay + C_vb[k, 2] * az
+        now.angular_rate[k], now.specific_force[k] = rate[k], force[k]
         now.angular_acceleration[k] = 0.0
     now.accelerometer = 1.0
     if dt <= 0.0:
@@ -142,20 +143,20 @@ def _repeats(i: Inertial, gx: float, gy: float, gz: float, ax: float, ay: float,
 
 
 @compiled
-def _goes_straight_on(i: Inertial) -> bool:
-    """Whether the new reading, in `between`, lies on the line through the two before it.
+def _goes_straight_on(i: Inertial, rate: Array, force: Array) -> bool:
+    """Whether a new reading lies on the line through the two before it.
 
     All six axes do but for rounding, and one of them changes: what gives the same number again and
     again is no line.
     """
     changes = False
     for k in range(3):
-        new, now = i.between.angular_rate[k], i.now.angular_rate[k]
+        new, now = rate[k], i.now.angular_rate[k]
         step = abs(new - now)
         if not abs(new - 2.0 * now + i.before.angular_rate[k]) <= _BEND * step + _RATE_BEND_RADPS:
             return False
         changes = changes or step > _LEAST_STEPS * _RATE_BEND_RADPS
-        new, now = i.between.specific_force[k], i.now.specific_force[k]
+        new, now = force[k], i.now.specific_force[k]
         step = abs(new - now)
         if not abs(new - 2.0 * now + i.before.specific_force[k]) <= _BEND * step + _FORCE_BEND_MPS2:
             return False

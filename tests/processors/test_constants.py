@@ -67,4 +67,4 @@ def test_every_tuned_constant_says_who_set_it(path: Path) -> None:
 
 def test_what_counts_as_a_constant() -> None:
     found = dict(constants(REPOSITORY / "processors" / "tram" / "wheels.py"))
-    assert {"QUANTISATION", "CUSUM_LIMIT", "MAX_MPS"} <= found.keys()
+    assert {"QUANTISATION", "READMIT_S", "MAX_MPS"} <= found.keys()

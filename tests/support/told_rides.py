@@ -32,15 +32,15 @@ from tramstream.estimation.series import Slot, wrapped_rad
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram.fix_noise import WHITE_SHARE
-from tramstream.processors.tram.start import GYRO_SCALE_STD
-from tramstream.processors.tram.trace import (
+from tramstream.processors.smoothing.trace import (
     ANEW,
     INSTANT,
     PREDICTION,
     SCALAR_TAIL,
     Trace,
 )
+from tramstream.processors.tram.fix_noise import WHITE_SHARE
+from tramstream.processors.tram.start import GYRO_SCALE_STD
 from tramstream.processors.tram_model.states import ENTRY_COUNT, SIZE, Ix
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.sync_pb2 import SyncFrame

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rides import judged, laid, ridden, run
+from rides import EVERY, Ride, altered, judged, laid, localised, ridden, run
 from scipy.stats import chi2
 from test_tram_faults import PLAN, city
 
@@ -19,6 +19,7 @@ from tramstream.bridges.gnss.nmea import Epoch, fix_of
 from tramstream.clock import S
 from tramstream.estimation.fixes import deviations, velocity_l
 from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
+from tramstream.processors.tram.events import RECEIVER_BOASTS
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -128,3 +129,59 @@ def yaw_of_place(localiser: TramLocaliser, frames: list[SyncFrame]) -> NDArray[n
     longitude = level.to_geodetic(np.array([each.p_l for each in late]))[:, 1]
     yaw: NDArray[np.float64] = np.array([each.motion[6] for each in late])
     return yaw - convergence_rad(level, longitude)
+
+
+# Fixes by time, not by number ---------------------------------------------------------------------
+def claimed_m(ride: Ride, start_s: float, end_s: float) -> float:
+    """Mean deviation of the place that the filter claims, along and across together."""
+    covariance = localised(ride).within(start_s, end_s).covariance
+    return float(np.mean(np.sqrt(np.trace(covariance[:, :2, :2], axis1=1, axis2=2))))
+
+
+def test_more_fixes_of_the_same_error_make_the_filter_no_surer() -> None:
+    """Five times as many, whose errors last as long."""
+    base = city(gnss={"rate_hz": 5.0, "velocity": True})
+    few = ridden(laid(PLAN), base, 1, 60.0)
+    many = ridden(laid(PLAN), altered(base, gnss={"rate_hz": 25.0}), 1, 60.0)
+    assert claimed_m(many, 40.0, 60.0) > 0.95 * claimed_m(few, 40.0, 60.0)
+
+
+def test_standing_for_long_averages_nothing() -> None:
+    """The surroundings stand still too: what is wrong after ten seconds is after five minutes."""
+    ride = ridden(laid(PLAN), altered(city(), driver={"first_dwell_s": 320.0}), 1, 315.0)
+    assert claimed_m(ride, 300.0, 310.0) > 0.95 * claimed_m(ride, 5.0, 10.0)
+
+
+def test_height_of_a_first_fix_that_was_far_away_does_not_stay() -> None:
+    """50 km to the west the ground lies 196 m below the tangent plane: the height was wrong too."""
+    ride = ridden(laid(PLAN), city(), 2, 60.0)
+    first = next(frame for frame in ride.frames if frame.gnss)
+    wrong = SyncFrame()
+    wrong.CopyFrom(first)
+    away = ride.simulation.line.level.to_geodetic([-FAR_M, 0.0, 0.0])
+    for fix in wrong.gnss:
+        fix.latitude_deg, fix.longitude_deg = np.degrees(away[:2])
+        fix.height_ellipsoid_m = away[2]
+    frames = [wrong if frame is first else frame for frame in ride.frames]
+    errors = localised(ride, frames).within(40.0, 60.0)
+    assert errors.horizontal_m.max() < 5.0
+    assert np.abs(errors.p_l[:, 2]).max() < 8.0
+
+
+def test_receiver_that_boasts_tenfold_is_said_and_weighed() -> None:
+    """Errors of 0.5 m on an axis, stated as 0.05 m."""
+    gnss = {"stated_horizontal_std_m": 0.05, "stated_vertical_std_m": 0.1, "rate_hz": 5.0}
+    ride = ridden(laid(PLAN), city(gnss=gnss), 4, 110.0)
+    localiser, kept, said = TramLocaliser(ride.simulation.vehicle), [], []
+    for frame in ride.frames:
+        estimate = localiser.take(frame)
+        found = [each.kind for each in localiser.complaints()]
+        said += [frame.stamp_ns] * found.count(RECEIVER_BOASTS)
+        if estimate is not None:
+            kept.append(estimate)
+    assert len(said) == 1
+    assert (said[0] - ride.frames[0].stamp_ns) / S < 60.0
+    errors = judged(ride.simulation, localiser, kept[::EVERY]).within(60.0, 110.0)
+    claimed = errors.covariance[:, :2, :2]
+    distance = np.linalg.solve(claimed, errors.p_l[:, :2, None])[:, :, 0]
+    assert np.mean(np.sum(distance * errors.p_l[:, :2], axis=1)) < 6.0

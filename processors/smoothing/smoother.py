@@ -36,8 +36,7 @@ from tramstream.estimation.kalman import Array, compiled, predict_covariance
 from tramstream.estimation.localiser import Estimate
 from tramstream.estimation.records import Records, numbers, one
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram.estimate import estimate_of
-from tramstream.processors.tram.trace import (
+from tramstream.processors.smoothing.trace import (
     ANEW,
     INSTANT,
     INSTANTS,
@@ -47,6 +46,7 @@ from tramstream.processors.tram.trace import (
     Instant,
     Trace,
 )
+from tramstream.processors.tram.estimate import estimate_of
 from tramstream.processors.tram_model.motion import move
 from tramstream.processors.tram_model.records import MEMORY, PARAMETERS, SITUATION
 from tramstream.processors.tram_model.states import COLUMNS, ENTRY_COUNT, ROWS, SIZE
