@@ -10,7 +10,7 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-WORKS = ("konecny2004", "kaspar2023", "drives", "matching")
+WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "worlds")
 
 
 def reproduce(
@@ -21,15 +21,17 @@ def reproduce(
     seeds: Annotated[
         int | None,
         typer.Option(
-            help="Rides of each kind (kaspar2023, default 5) or line (matching, default 10).", min=1
+            help="Rides of each kind (kaspar2023, default 5), line (matching, default 10) or world "
+            "(worlds, default 1).",
+            min=1,
         ),
     ] = None,
     line: Annotated[
         list[str] | None,
         typer.Option(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
-            "default). matching: LINE/DIRECTION or LINE; default all of the network. May be given "
-            "several times.",
+            "default). matching: LINE/DIRECTION or LINE; default all of the network. worlds: as "
+            "matching with --net (default 7/0), else as kaspar2023. May be given several times.",
             metavar="LINE",
         ),
     ] = None,
@@ -43,7 +45,9 @@ def reproduce(
     duration_s: Annotated[
         float,
         typer.Option(
-            "--duration-s", help="kaspar2023, matching: end rides early; 0 is never.", min=0
+            "--duration-s",
+            help="kaspar2023, matching: end rides early; 0 is never. worlds: default 300.",
+            min=0,
         ),
     ] = 0.0,
     data: Annotated[
@@ -54,14 +58,20 @@ def reproduce(
         Path | None, typer.Option(help="drives: of mapping files; default mappings.", metavar="DIR")
     ] = None,
     net: Annotated[
-        Path | None, typer.Option(help="matching: file of the track network.", metavar="FILE")
+        Path | None,
+        typer.Option(help="matching, worlds: file of the track network.", metavar="FILE"),
     ] = None,
     detours: Annotated[
         int | None, typer.Option(help="matching: detours of the lines; default 20.", min=0)
     ] = None,
+    world: Annotated[
+        list[str] | None,
+        typer.Option(help="worlds: which; default all. May be given several times."),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Reproduce the figures of a published work, ours on the real drives, or of the map matcher."""
+    """Reproduce the figures of a published work, ours on the real drives, of the map
+    matcher, or of the localisation in many worlds."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
@@ -70,5 +80,5 @@ def reproduce(
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
-    options = replace(options, network=net, detours=detours)
+    options = replace(options, network=net, detours=detours, worlds=tuple(world or ()))
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

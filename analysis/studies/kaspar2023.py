@@ -9,7 +9,6 @@ with white errors, and others with one wheel, and with wheels that slip and slid
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -26,18 +25,13 @@ from tramstream.analysis.evaluate.errors import MotionErrors, errors, fix_errors
 from tramstream.analysis.studies import bound
 from tramstream.analysis.studies.bound import Bound
 from tramstream.analysis.studies.frames import frames
+from tramstream.analysis.studies.states import SaidStates, geodetic_rad, truth_at
 from tramstream.clock import S
 from tramstream.config import Map, Vehicle
 from tramstream.estimation.series import (
     Array,
     FixSeries,
-    Innovations,
-    Instants,
-    Slot,
-    StateSeries,
-    TruthSeries,
 )
-from tramstream.geodesy import LocalLevel
 from tramstream.graph import Graph
 from tramstream.lines import geojson
 from tramstream.lines.line import Line, built_in_line
@@ -45,7 +39,6 @@ from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.tram.localiser import TramLocaliser
-from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.simulation import line_map, scenario
 from tramstream.simulation.scenario import SIDES
@@ -168,51 +161,6 @@ def _vehicle(simulation: Simulation, case: Case, folder: Path) -> Vehicle:
     return replace(simulation.vehicle, map=settings)
 
 
-class _Said:
-    """What a model said, in flat columns."""
-
-    def __init__(self, model: str) -> None:
-        self.model = model
-        self.steps = 0
-        self.step_us = float("nan")
-        self.stamp_ns = array("q")
-        self.numbers = array("d")
-        self.covariance = array("d")
-
-    def keep(self, state: MotionState) -> None:
-        self.stamp_ns.append(state.stamp_ns)
-        self.numbers.extend((state.latitude_deg, state.longitude_deg, state.height_ellipsoid_m))
-        self.numbers.extend((state.roll_rad, state.pitch_rad, state.yaw_rad))
-        self.numbers.extend((state.speed_mps, state.acceleration_mps2, state.yaw_rate_radps))
-        self.numbers.extend((state.mode, state.standing))
-        self.numbers.extend((state.protection_along_m, state.protection_across_m))
-        self.covariance.extend(state.covariance)
-
-    def states(self, level: LocalLevel) -> StateSeries:
-        """What it said as columns, positions in `level`."""
-        count = len(self.stamp_ns)
-        columns = np.frombuffer(self.numbers).reshape(count, -1)
-        geodetic = _geodetic(columns[:, :3])
-        triangle = np.frombuffer(self.covariance).reshape(count, -1)
-        covariance = np.empty((count, len(Slot), len(Slot)))
-        rows, columns_of = np.triu_indices(len(Slot))
-        covariance[:, rows, columns_of] = covariance[:, columns_of, rows] = triangle
-        return StateSeries(
-            stamp_ns=np.frombuffer(self.stamp_ns, dtype=np.int64),
-            geodetic=geodetic,
-            p_l=level.from_geodetic(geodetic),
-            speed_mps=columns[:, 6],
-            acceleration_mps2=columns[:, 7],
-            attitude_rad=columns[:, 3:6],
-            yaw_rate_radps=columns[:, 8],
-            covariance=covariance,
-            mode=columns[:, 9].astype(np.int64),
-            standing=columns[:, 10] != 0.0,
-            protection_m=columns[:, 11:13],
-            innovations=_NO_INNOVATIONS,
-        )
-
-
 class _Run:
     """A model on its way, and the time that it took."""
 
@@ -223,7 +171,7 @@ class _Run:
         self._smooths = model == TramLocaliser.name
         if self._smooths:
             self._filter.keep()
-        self._said = _Said(model)
+        self._said = SaidStates(model)
         self._elapsed_s = 0.0
 
     def take(self, frame: Sample, judged: bool) -> None:
@@ -235,57 +183,33 @@ class _Run:
             if output.key is keys.EST_STATE:
                 self._said.keep(output.message)
 
-    def said(self) -> Iterator[_Said]:
+    def said(self) -> Iterator[SaidStates]:
         """The filter's, and the smoother's if the model has one."""
         self._said.step_us = self._elapsed_s / max(self._said.steps, 1) * 1e6
         yield self._said
         if self._smooths:
-            smoothed = _Said(SMOOTHED)
+            smoothed = SaidStates(SMOOTHED)
             for sample in self._filter.smoothed():
                 smoothed.keep(sample.message)
                 smoothed.steps += 1
             yield smoothed
 
 
-_NO_INNOVATIONS = Innovations(
-    stamp_ns=np.empty(0, dtype=np.int64),
-    names=(),
-    which=np.empty(0, dtype=np.int64),
-    value=np.empty(0),
-    variance=np.empty(0),
-    accepted=np.empty(0, dtype=np.bool_),
-)
-
-
-def _geodetic(rows: Array) -> Array:
-    """Latitude, longitude, height: degrees to radians."""
-    return rows * (np.pi / 180.0, np.pi / 180.0, 1.0)
-
-
-def _truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
-    """The truth, its attitude against level and east of the place, as that of the states."""
-    truth = simulation.truth(stamp_ns)
-    motion = truth.motion
-    attitude = np.stack(simulation.ride.attitude(motion), axis=1)
-    unknown = np.full(len(stamp_ns), np.nan)
-    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, attitude, unknown)
-
-
 def _fix_errors(simulation: Simulation, fixes: list[GnssFix]) -> MotionErrors:
     rows = [(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m) for fix in fixes]
     stamp_ns = np.array([fix.stamp_ns for fix in fixes])
     unknown = np.full(len(fixes), np.nan)
-    place = simulation.line.level.from_geodetic(_geodetic(np.array(rows)))
+    place = simulation.line.level.from_geodetic(geodetic_rad(np.array(rows)))
     valid = np.array([fix.valid for fix in fixes])
     series = FixSeries(stamp_ns, valid, place, speed_mps=unknown, course_yaw_rad=unknown)
     gnss = simulation.vehicle.gnss
     assert gnss is not None
-    return fix_errors(series, _truth_at(simulation, stamp_ns), gnss.lever_arm_m)
+    return fix_errors(series, truth_at(simulation, stamp_ns), gnss.lever_arm_m)
 
 
-def _figures(case: Case, simulation: Simulation, said: _Said, raw: MotionErrors) -> Figures:
+def _figures(case: Case, simulation: Simulation, said: SaidStates, raw: MotionErrors) -> Figures:
     states = said.states(simulation.line.level)
-    judged = errors(states, _truth_at(simulation, states.stamp_ns))
+    judged = errors(states, truth_at(simulation, states.stamp_ns))
     nees = consistency.nees_series(judged, NEES_SLOTS["position"])
     second = judged.stamp_ns // S
     first_of_second = np.flatnonzero(np.diff(second, prepend=0) * np.isfinite(nees))

@@ -20,3 +20,4 @@ class Options:
     kinds: tuple[str, ...] = ()
     network: Path | None = None
     detours: int | None = None
+    worlds: tuple[str, ...] = ()

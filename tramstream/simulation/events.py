@@ -13,19 +13,18 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from tramstream.errors import ConfigError
-from tramstream.simulation.ride import Ride
-from tramstream.simulation.scenario import (
+from tramstream.simulation.event_kinds import (
     SIDES,
     Event,
-    Gnss,
+    Fault,
     GnssDrift,
     GnssJump,
-    Scenario,
     Side,
     Slip,
     Tunnel,
-    Wheels,
 )
+from tramstream.simulation.ride import Ride
+from tramstream.simulation.scenario import Gnss, Scenario, Wheels
 
 Array = NDArray[np.float64]
 
@@ -43,6 +42,8 @@ class Offset(NamedTuple):
     offset_l: tuple[float, float, float]
     rise_s: float = 0.0
     fall_s: float = 0.0
+    velocity: bool = False
+    """Whether velocities go with it."""
 
 
 class Blackout(NamedTuple):
@@ -60,6 +61,14 @@ class Skid(NamedTuple):
     wheels: tuple[Side, ...]
     factor: float
     speed_error_mps: float
+
+
+class Broken(NamedTuple):
+    """A sensor's fault from one time of the ride until before another."""
+
+    fault: Fault
+    start_s: float
+    end_s: float
 
 
 class Happenings:
@@ -87,6 +96,8 @@ class Happenings:
         """Tunnels, until the receiver has found its satellites again."""
         self.skids: list[Skid] = []
         """Slips and slides."""
+        self.faults: list[Broken] = []
+        """Of sensors, for `simulation.faults`."""
         regain_s = scenario.gnss.reacquisition_s if scenario.gnss else 0.0
         for index, event in enumerate(scenario.events):
             interval = self._interval(event, f"$.events[{index}]")
@@ -98,8 +109,9 @@ class Happenings:
                 self.offsets.append(Offset(start_s, end_s, shift))
             elif isinstance(event, GnssDrift):
                 shift = (event.east_m, event.north_m, event.up_m)
+                lasts_s = end_s - start_s
                 self.offsets.append(
-                    Offset(start_s, end_s, shift, end_s - start_s, event.recovery_s)
+                    Offset(start_s, end_s, shift, lasts_s, event.recovery_s, event.velocity)
                 )
             elif isinstance(event, Tunnel):
                 self.blackouts.append(Blackout(start_s, end_s + regain_s))
@@ -107,6 +119,8 @@ class Happenings:
                 factor = 1.0 if event.factor is None else event.factor
                 error_mps = event.speed_error_mps or 0.0
                 self.skids.append(Skid(start_s, end_s, event.wheels, factor, error_mps))
+            elif isinstance(event, Fault):
+                self.faults.append(Broken(event, start_s, end_s))
         jumps_rng, skids_rng = rng.spawn(2)
         if scenario.gnss is not None:
             self.offsets += _multipath(scenario.gnss, ride.duration_s, jumps_rng)
@@ -124,6 +138,18 @@ class Happenings:
                 time_s >= offset.start_s, np.clip(np.minimum(rising, falling), 0, 1), 0
             )
             total += share[:, None] * np.array(offset.offset_l)
+        return total
+
+    def gnss_drift_l(self, time_s: Array) -> Array:
+        """How fast fixes wander off at each instant where their velocities do so too, (n, 3)."""
+        total = np.zeros((len(time_s), 3))
+        for offset in self.offsets:
+            if not (offset.velocity and offset.rise_s and offset.fall_s):
+                continue
+            rises = (time_s >= offset.start_s) & (time_s < offset.end_s)
+            falls = (time_s >= offset.end_s) & (time_s < offset.end_s + offset.fall_s)
+            rate = rises / offset.rise_s - falls / offset.fall_s
+            total += rate[:, None] * np.array(offset.offset_l)
         return total
 
     def gnss_lost(self, time_s: Array) -> NDArray[np.bool_]:

@@ -12,21 +12,50 @@ from __future__ import annotations
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Meta
 
 from tramstream import config, geodesy
 from tramstream.config import NotNegative, Positive, Struct, Vector, VehicleId
 from tramstream.errors import ConfigError
+from tramstream.simulation.event_kinds import (
+    SIDES,
+    AnyEvent,
+    Event,
+    GnssDrift,
+    GnssJump,
+    Side,
+    Slide,
+    Slip,
+    Tunnel,
+)
 from tramstream.simulation.imu import ImuErrors, ImuScales
 from tramstream.simulation.receiver import GnssErrors
 from tramstream.simulation.speed_plan import Limits
 from tramstream.simulation.wheels import Axle
 from tramstream.strict_toml import decode_toml
 
-Side = Literal["left", "right"]
-SIDES: tuple[Side, Side] = ("left", "right")
+__all__ = [
+    "SIDES",
+    "Event",
+    "Gnss",
+    "GnssDrift",
+    "GnssJump",
+    "Imu",
+    "Scenario",
+    "Side",
+    "Slide",
+    "Slip",
+    "Timing",
+    "Track",
+    "Tunnel",
+    "Wheels",
+    "load",
+    "names",
+    "parse",
+    "stated_std_m",
+]
 
 
 class Timing(Struct, frozen=True, kw_only=True):
@@ -111,70 +140,6 @@ class Wheels(Struct, frozen=True, kw_only=True):
             raise ValueError("`wheels` must name one wheel or both, each once")
 
 
-class Event(Struct, frozen=True, kw_only=True, tag_field="kind"):
-    """Something that happens at a time, at a stop, or at a place; `kind` says what."""
-
-    start_s: NotNegative | None = None
-    """Time of the ride,"""
-    start_m: NotNegative | None = None
-    """or arc length at which it begins,"""
-    stop: Annotated[int, Meta(ge=1)] | None = None
-    """or number of the stop (1 is the first) with whose standing still it begins."""
-    after_s: float = 0.0
-    """Begins so much after that."""
-    duration_s: Positive | None = None
-    """How long it lasts,"""
-    end_m: NotNegative | None = None
-    """or arc length at which it ends; at a stop, if neither is given, with the departure."""
-
-    def __post_init__(self) -> None:
-        if sum(each is not None for each in (self.start_s, self.start_m, self.stop)) != 1:
-            raise ValueError("an event begins at one of `start_s`, `start_m` and `stop`")
-        ends = sum(each is not None for each in (self.duration_s, self.end_m))
-        if ends > 1 or (ends == 0 and self.stop is None):
-            raise ValueError("an event ends by one of `duration_s` and `end_m`")
-
-
-class GnssJump(Event, frozen=True, kw_only=True, tag="gnss_jump"):
-    """Fixes jump away, and back at the end."""
-
-    east_m: float = 0.0
-    north_m: float = 0.0
-    up_m: float = 0.0
-
-
-class GnssDrift(Event, frozen=True, kw_only=True, tag="gnss_drift"):
-    """Fixes wander off evenly, and come back evenly within `recovery_s`."""
-
-    east_m: float = 0.0
-    north_m: float = 0.0
-    up_m: float = 0.0
-    recovery_s: Positive = 5.0
-
-
-class Tunnel(Event, frozen=True, kw_only=True, tag="tunnel"):
-    """No fix."""
-
-
-class Slip(Event, frozen=True, kw_only=True, tag="slip"):
-    """Wheels turn faster than the vehicle moves: by a factor, or by a speed."""
-
-    wheels: tuple[Side, ...] = SIDES
-    factor: NotNegative | None = None
-    """Speed of the wheel over that of the vehicle."""
-    speed_error_mps: float | None = None
-    """In the direction of travel; one of the two must be given."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if (self.factor is None) == (self.speed_error_mps is None):
-            raise ValueError("wheels slip or slide by one of `factor` and `speed_error_mps`")
-
-
-class Slide(Slip, frozen=True, kw_only=True, tag="slide"):
-    """Wheels turn more slowly than the vehicle moves, or not at all."""
-
-
 class Track(Struct, frozen=True, kw_only=True):
     """What of the line's properties counts."""
 
@@ -197,7 +162,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     imu: Imu | None = None
     gnss: Gnss | None = None
     wheels: Wheels | None = None
-    events: tuple[GnssJump | GnssDrift | Tunnel | Slip | Slide, ...] = ()
+    events: tuple[AnyEvent, ...] = ()
     resampler: config.Resampler | None = None
     """Of the configuration; None: 100 Hz."""
     ekf: config.Ekf = config.Ekf()

@@ -25,6 +25,7 @@ from tramstream.lines.line import Line
 from tramstream.processor import Sample
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
 from tramstream.simulation.events import Happenings
+from tramstream.simulation.faults import Timed, faulted
 from tramstream.simulation.imu import Imu, inertial
 from tramstream.simulation.receiver import Gnss
 from tramstream.simulation.ride import Motion, Ride
@@ -105,6 +106,11 @@ class Simulation:
             streams.append(self._fixes(gnss_rng))
         if self.scenario.wheels is not None:
             streams.append(self._readings(wheels_rng))
+        faults = [
+            Timed(each.fault, *stamps_ns(np.array([each.start_s, each.end_s])).tolist())
+            for each in self.happenings.faults
+        ]
+        streams = [faulted(stream, faults) for stream in streams]
         return heapq.merge(*streams, key=attrgetter("publish_ns"))
 
     def _blocks(self, rate_hz: float, size: int) -> Iterator[Array]:
@@ -185,7 +191,8 @@ class Simulation:
             fixes = receiver.measure(self.line.position_l(motion.arc_length_m), motion)
             p_l = fixes.p_l + self.happenings.gnss_offset_l(time_s)
             geodetic = self.line.level.to_geodetic(p_l)
-            velocity = np.einsum("nij,nj->ni", C_nl(self.line.level, geodetic), fixes.vel_l)
+            vel_l = fixes.vel_l + self.happenings.gnss_drift_l(time_s)
+            velocity = np.einsum("nij,nj->ni", C_nl(self.line.level, geodetic), vel_l)
             lost = self.happenings.gnss_lost(time_s)
             stamps, published = clock.times(time_s)
             epochs = stamps_ns(time_s).tolist()

@@ -63,6 +63,11 @@ class MapError(NamedTuple):
     std_m: float = ERROR_STD_M
     length_m: float = ERROR_LENGTH_M
     """Correlation exp(−d²/2 length²)."""
+    beside_m: float = 0.0
+    """The rails are so much to the left of the map, all along,"""
+    east_m: float = 0.0
+    north_m: float = 0.0
+    """or so far to the east and north: a map in another datum."""
 
 
 class Spots(NamedTuple):
@@ -208,7 +213,9 @@ def lay(
     direction = np.gradient(points, axis=0)
     direction /= np.hypot(*direction.T)[:, None]
     left = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    points = points + left * _across_m(route_m, rng, error or MapError())[:, None]
+    error = error or MapError()
+    across_m = error.beside_m + _across_m(route_m, rng, error)
+    points = points + left * across_m[:, None] + (error.east_m, error.north_m)
     chain_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     geodetic = np.column_stack([network.geodetic_of(points), _heights(network, at)])
     stops_m = np.interp(route.stops_m, route_m, chain_m).tolist()
