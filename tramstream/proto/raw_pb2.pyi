@@ -121,7 +121,7 @@ class Odometry(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., wheels: _Optional[_Iterable[_Union[WheelReading, _Mapping]]] = ..., doors_open: _Optional[bool] = ..., motor_force_n: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ...) -> None: ...
 
 class TruthState(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "arc_length_m", "speed_mps", "acceleration_mps2", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad", "yaw_rate_radps", "standing", "roll_rad", "pitch_rad", "position_std_m")
+    __slots__ = ("stamp_ns", "sequence", "arc_length_m", "speed_mps", "acceleration_mps2", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad", "yaw_rate_radps", "standing", "roll_rad", "pitch_rad", "position_std_m", "grade_rad")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     ARC_LENGTH_M_FIELD_NUMBER: _ClassVar[int]
@@ -136,6 +136,7 @@ class TruthState(_message.Message):
     ROLL_RAD_FIELD_NUMBER: _ClassVar[int]
     PITCH_RAD_FIELD_NUMBER: _ClassVar[int]
     POSITION_STD_M_FIELD_NUMBER: _ClassVar[int]
+    GRADE_RAD_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     arc_length_m: float
@@ -150,4 +151,5 @@ class TruthState(_message.Message):
     roll_rad: float
     pitch_rad: float
     position_std_m: float
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., arc_length_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., position_std_m: _Optional[float] = ...) -> None: ...
+    grade_rad: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., arc_length_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., position_std_m: _Optional[float] = ..., grade_rad: _Optional[float] = ...) -> None: ...

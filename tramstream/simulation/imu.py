@@ -12,7 +12,7 @@ hands to the next, so that the cut into blocks does not show in what it measures
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -69,12 +69,33 @@ def inertial(
     f_v[:, 2] = -motion.speed_mps * omega_v[:, 1] - np.sin(roll) * across + np.cos(roll) * upright
     if any(p_va_v):
         lever = np.array(p_va_v)
-        f_v += np.cross(_angular_acceleration_v(motion), lever)
+        f_v += np.cross(angular_acceleration_v(motion), lever)
         f_v += np.cross(omega_v, np.cross(omega_v, lever))
     return f_v, omega_v
 
 
-def _angular_acceleration_v(motion: Motion) -> Array:
+class Turning(Protocol):
+    """Attitude and its derivatives, one row an instant: a `Motion` has them."""
+
+    @property
+    def roll_rad(self) -> Array: ...
+    @property
+    def pitch_rad(self) -> Array: ...
+    @property
+    def roll_rate_radps(self) -> Array: ...
+    @property
+    def pitch_rate_radps(self) -> Array: ...
+    @property
+    def yaw_rate_radps(self) -> Array: ...
+    @property
+    def roll_acceleration_radps2(self) -> Array: ...
+    @property
+    def pitch_acceleration_radps2(self) -> Array: ...
+    @property
+    def yaw_acceleration_radps2(self) -> Array: ...
+
+
+def angular_acceleration_v(motion: Turning) -> Array:
     """Derivative of `body_rates` in time, rad/s²."""
     sin_r, cos_r = np.sin(motion.roll_rad), np.cos(motion.roll_rad)
     sin_p, cos_p = np.sin(motion.pitch_rad), np.cos(motion.pitch_rad)

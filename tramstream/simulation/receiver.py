@@ -87,11 +87,22 @@ class Gnss:
         motion : Motion
             At the same instants.
         """
-        antenna, velocity = antenna_motion(np.asarray(p_l, dtype=float), motion, self._p_va_v)
+        antenna = antenna_motion(np.asarray(p_l, dtype=float), motion, self._p_va_v)
+        return self.measured(*antenna, motion.standing)
+
+    def measured(self, antenna: Array, velocity: Array, standing: NDArray[np.bool_]) -> Fixes:
+        """Fixes of consecutive epochs out of the antenna's own motion.
+
+        Parameters
+        ----------
+        antenna, velocity : ndarray, shape (n, 3)
+            In `l`, m and m/s.
+        standing : ndarray, shape (n,)
+        """
         noise = self.rng.standard_normal((len(antenna), 4, 3))
         errors = self._correlated_l(noise[:, 0])
         if np.any(self._wander_step):
-            errors += self._wander_l(noise[:, 3], motion.standing)
+            errors += self._wander_l(noise[:, 3], standing)
         errors += self._white_std * noise[:, 2]
         return Fixes(antenna + errors, velocity + self.errors.velocity_std_mps * noise[:, 1])
 

@@ -136,6 +136,16 @@ class Ride:
             wrapped(yaw),
         )
 
+    def grade_rad(self, motion: Motion) -> Array:
+        """Slope of the track under the vehicle's origin along its x, uphill positive.
+
+        Against level of the place, as attitude is published.
+        """
+        east, north, _ = np.moveaxis(self.up_l(motion), -1, 0)
+        yaw = self.line.yaw_rad(motion.arc_length_m)
+        grade = self.line.grade(motion.arc_length_m) + east * np.cos(yaw) + north * np.sin(yaw)
+        return self.direction * grade
+
     def up_l(self, motion: Motion) -> Array:
         """Direction of the place's up in `l` where a motion is; shape (n, 3)."""
         return self.line.level.up_l(self.line.position_l(motion.arc_length_m))
@@ -166,9 +176,16 @@ class Ride:
         """Give the truth at `time_s` of the ride as a message stamped `stamp_ns`."""
         return self.truths(np.array([time_s]), [stamp_ns])[0]
 
-    def truths(self, time_s: Array, stamps_ns: list[int]) -> list[raw_pb2.TruthState]:
-        """Give the truth at each instant of the ride as a message."""
+    def truths(
+        self, time_s: Array, stamps_ns: list[int], vehicle: Motion | None = None
+    ) -> list[raw_pb2.TruthState]:
+        """Give the truth at each instant of the ride as a message.
+
+        `vehicle` is the motion of the vehicle where that is not the track's.
+        """
         motion = self.motion(time_s)
+        grade = self.grade_rad(motion)
+        motion = vehicle or motion
         p_l = self.line.position_l(motion.arc_length_m)
         latitude, longitude, height = self.line.level.to_geodetic(p_l).T
         roll, pitch, yaw = self.attitude(motion)
@@ -185,6 +202,7 @@ class Ride:
             "standing": motion.standing.tolist(),
             "roll_rad": roll.tolist(),
             "pitch_rad": pitch.tolist(),
+            "grade_rad": grade.tolist(),
         }
         names = list(fields)
         return [

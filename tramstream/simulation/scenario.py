@@ -19,6 +19,7 @@ from msgspec import Meta
 from tramstream import config, geodesy
 from tramstream.config import NotNegative, Positive, Struct, Vector, VehicleId
 from tramstream.errors import ConfigError
+from tramstream.simulation.body import Body, Number
 from tramstream.simulation.event_kinds import (
     SIDES,
     AnyEvent,
@@ -85,6 +86,8 @@ class Imu(Struct, frozen=True, kw_only=True):
     """Ψ = roll, pitch, yaw of the case, as the configuration says."""
     mounting_std_deg: NotNegative = 1.0
     """As the configuration says."""
+    part: Number = 1
+    """Of the body that it is fixed to, from the front."""
     misalignment_deg: Vector = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of the true case against the one that the configuration means."""
     timing: Timing = Timing()
@@ -98,6 +101,8 @@ class Gnss(Struct, frozen=True, kw_only=True):
     rate_hz: Positive = 5.0
     velocity: bool = True
     """Whether fixes carry velocity."""
+    part: Number = 1
+    """Of the body that the antenna is fixed to, from the front."""
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
     """Antenna from the vehicle's origin, as the configuration says."""
     lever_arm_error_m: Vector = (0.0, 0.0, 0.0)
@@ -158,6 +163,8 @@ class Scenario(Struct, frozen=True, kw_only=True):
     end_s: NotNegative = 5.0
     """The sensors go on for so long after standstill at the last stop."""
     track: Track = Track()
+    body: Body | None = None
+    """None: a point that follows the rail, its axes those of the track."""
     driver: Limits = Limits()
     imu: Imu | None = None
     gnss: Gnss | None = None
@@ -167,6 +174,12 @@ class Scenario(Struct, frozen=True, kw_only=True):
     """Of the configuration; None: 100 Hz."""
     ekf: config.Ekf = config.Ekf()
     """Of the configuration."""
+
+    def __post_init__(self) -> None:
+        parts = self.body.parts if self.body is not None else 1
+        for name, sensor in (("imu", self.imu), ("gnss", self.gnss)):
+            if sensor is not None and sensor.part > parts:
+                raise ValueError(f"`{name}.part` is {sensor.part}; the body has {parts}")
 
 
 def names() -> list[str]:

@@ -24,12 +24,15 @@ from tramstream.geodesy import C_nl, normal_gravity_mps2
 from tramstream.lines.line import Line
 from tramstream.processor import Sample
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
+from tramstream.simulation.body import Carriage, antenna_of, inertial_of
 from tramstream.simulation.events import Happenings
 from tramstream.simulation.faults import Timed, faulted
 from tramstream.simulation.imu import Imu, inertial
-from tramstream.simulation.receiver import Gnss
+from tramstream.simulation.receiver import Gnss, antenna_motion
 from tramstream.simulation.ride import Motion, Ride
 from tramstream.simulation.scenario import SIDES, Scenario, Timing
+from tramstream.simulation.scenario import Gnss as GnssSection
+from tramstream.simulation.scenario import Imu as ImuSection
 from tramstream.simulation.vehicle import FixWriter, configuration
 from tramstream.simulation.wheels import Wheels, motor_force_n
 
@@ -82,6 +85,11 @@ class Simulation:
         self.duration_s = self.ride.duration_s + scenario.end_s
         if duration_s is not None:
             self.duration_s = min(self.duration_s, duration_s)
+        level = self.line.level
+        self.gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
+        body = scenario.body
+        self.carriage = body and Carriage(body, self.ride, self.gravity_mps2, self.duration_s)
+        """Of the body; None where the vehicle is a point that follows the rail."""
         self.happenings = Happenings(scenario, self.ride, happenings_rng)
         self.vehicle: config.Vehicle = configuration(scenario)
         """The configuration that a vehicle with these sensors would have."""
@@ -93,8 +101,14 @@ class Simulation:
     def truth(self, stamp_ns: ArrayLike) -> Truth:
         """Give the exact state of the vehicle at instants of the vehicle clock."""
         time_s = (np.asarray(stamp_ns, dtype=np.int64) - EPOCH_NS) / S
-        motion = self.ride.motion(time_s)
+        motion = self._motion(time_s)
         return Truth(motion, self.line.position_l(motion.arc_length_m))
+
+    def _motion(self, time_s: Array) -> Motion:
+        """Of the vehicle: its body, if it has one."""
+        if self.carriage is None:
+            return self.ride.motion(time_s)
+        return self.carriage.motion(time_s)
 
     def samples(self) -> Iterator[Sample]:
         """All messages of the ride in the order of their publication."""
@@ -124,7 +138,8 @@ class Simulation:
         sequence = 0
         for time_s in self._blocks(rate_hz, round(BLOCK_S * rate_hz)):
             stamps = stamps_ns(time_s)
-            for message in self.ride.truths(time_s, stamps.tolist()):
+            vehicle = self._motion(time_s)
+            for message in self.ride.truths(time_s, stamps.tolist(), vehicle):
                 sequence += 1
                 message.sequence = sequence
                 stamp = message.stamp_ns
@@ -135,8 +150,6 @@ class Simulation:
         assert section is not None
         sensor_rng, timing_rng = rng.spawn(2)
         sensor = Imu(sensor_rng, section.rate_hz, section.errors, section.scales)
-        level = self.line.level
-        gravity = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         lever = _sum(section.lever_arm_m, section.lever_arm_error_m)
         C_bv = C_vl(*np.radians(section.misalignment_deg)) @ C_vl(*np.radians(section.mounting_deg))
         clock = _Publisher(section.timing, timing_rng)
@@ -147,8 +160,7 @@ class Simulation:
             if count == 0:
                 return
             time_s = time_s[: count * batch]
-            motion = self.ride.motion(time_s)
-            f_v, omega_v = inertial(motion, gravity, lever, self.ride.up_l(motion))
+            f_v, omega_v = self._felt(section, time_s, lever)
             counts = sensor.measure(f_v @ C_bv.T, omega_v @ C_bv.T)
             gyro, accel = (
                 column.reshape(count, batch, 3).transpose(0, 2, 1).tolist()
@@ -177,18 +189,41 @@ class Simulation:
                 sequence += 1
                 yield Sample(keys.IMU_BATCH, message, stamp, sequence, published[row])
 
+    def _felt(
+        self, section: ImuSection, time_s: Array, lever: config.Vector
+    ) -> tuple[Array, Array]:
+        """Give specific force and angular rate of the IMU, resolved in its part of the body."""
+        motion = self.ride.motion(time_s)
+        up_l = self.ride.up_l(motion)
+        if self.carriage is None:
+            return inertial(motion, self.gravity_mps2, lever, up_l)
+        part = self.carriage.part(section.part, time_s)
+        lever_v = self.carriage.lever_v(section.part, lever)
+        return inertial_of(part, self.gravity_mps2, lever_v, up_l)
+
+    def _antenna(
+        self, section: GnssSection, time_s: Array, lever: config.Vector
+    ) -> tuple[Array, Array, Motion]:
+        """Give position and velocity of the antenna in `l`, and the track's motion."""
+        motion = self.ride.motion(time_s)
+        if self.carriage is None:
+            p_l = self.line.position_l(motion.arc_length_m)
+            return *antenna_motion(p_l, motion, np.array(lever)), motion
+        part = self.carriage.part(section.part, time_s)
+        return *antenna_of(part, self.carriage.lever_v(section.part, lever)), motion
+
     def _fixes(self, rng: Generator) -> Iterator[Sample]:
         section = self.scenario.gnss
         assert section is not None
         sensor_rng, timing_rng = rng.spawn(2)
         lever = _sum(section.lever_arm_m, section.lever_arm_error_m)
-        receiver = Gnss(sensor_rng, section.rate_hz, section.errors, lever)
+        receiver = Gnss(sensor_rng, section.rate_hz, section.errors)
         writer = FixWriter(section, self.scenario.track.geoid_m)
         clock = _Publisher(section.timing, timing_rng)
         sequence = 0
         for time_s in self._blocks(section.rate_hz, max(round(BLOCK_S * section.rate_hz), 1)):
-            motion = self.ride.motion(time_s)
-            fixes = receiver.measure(self.line.position_l(motion.arc_length_m), motion)
+            antenna_l, velocity_l, motion = self._antenna(section, time_s, lever)
+            fixes = receiver.measured(antenna_l, velocity_l, motion.standing)
             p_l = fixes.p_l + self.happenings.gnss_offset_l(time_s)
             geodetic = self.line.level.to_geodetic(p_l)
             vel_l = fixes.vel_l + self.happenings.gnss_drift_l(time_s)
