@@ -10,40 +10,42 @@ at a speed or in a curve of it. Issue 11 lists the worlds and what it wants of e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 from msgspec.structs import replace
 
+from tramstream.analysis.studies.worlds_events import (
+    Events,
+    corner_gaps,
+    departure_jump,
+    drift,
+    from_start,
+    lasting,
+)
+from tramstream.simulation.body import Body
 from tramstream.simulation.event_kinds import (
-    AnyEvent,
-    GnssDrift,
+    ClockOff,
     GnssFrozen,
+    GnssHold,
+    GnssJammed,
     GnssJump,
     GnssStated,
     ImuDead,
-    ImuLost,
     ImuSaturated,
     ImuStuck,
+    Slip,
     WheelsFrozen,
 )
-from tramstream.simulation.ride import Ride
-from tramstream.simulation.scenario import Scenario
+from tramstream.simulation.roughness import Roughness
+from tramstream.simulation.scenario import Scenario, load
 from tramstream.simulation.track_rides import MapError
 
 Changes = Mapping[str, Any]
 AS_IT_IS: Changes = {}
 TODAY = "as today"
-AT_SPEED_MPS = 6.0
-FAULT_SHARE = 0.4
-"""Of the ride, before a fault: the filter knows by then what it can learn."""
 SLOW_TAU_S = 600.0
 DECAY_OF_600_S = math.exp(-1.0 / SLOW_TAU_S)
-CORNER_PER_M = 1.0 / 60.0
-"""Curves that are tighter are corners of streets."""
-APART_S = 20.0
-"""Between two gaps in corners, at least."""
 
 
 class Wanted(NamedTuple):
@@ -65,7 +67,7 @@ class World(NamedTuple):
     """Of the base scenario: sections as dictionaries, None leaves a sensor out."""
     told: Changes = AS_IT_IS
     """What of that the operator knows."""
-    events: Callable[[Ride, float], tuple[AnyEvent, ...]] | None = None
+    events: Events | None = None
     """Of a ride that ends at a time; the first is the fault whose saying is timed."""
     wanted: Wanted = Wanted()
     moving: bool = False
@@ -89,77 +91,27 @@ def _changed(base: Any, changes: Changes) -> Any:
     return replace(base, **fields)
 
 
-# Times --------------------------------------------------------------------------------------------
-def at_speed_s(ride: Ride, end_s: float, share: float = FAULT_SHARE) -> float:
-    """First time after a share of the ride from which on the vehicle goes fast for ten seconds."""
-    time_s = np.arange(share * end_s, end_s, 0.5)
-    fast = np.abs(ride.motion(time_s).speed_mps) > AT_SPEED_MPS
-    lasting = np.convolve(fast, np.ones(20), "full")[19:] == 20
-    return float(time_s[int(np.argmax(lasting))])
-
-
-def corners_s(ride: Ride, end_s: float) -> list[float]:
-    """When the vehicle is in the middle of entering tight curves, from the second minute on."""
-    time_s = np.arange(60.0, end_s, 0.2)
-    motion = ride.motion(time_s)
-    bent = np.abs(ride.line.curvature_per_m(motion.arc_length_m)) > CORNER_PER_M
-    moving = np.abs(motion.speed_mps) > 2.0
-    begins = time_s[1:][(bent & moving)[1:] & ~(bent & moving)[:-1]]
-    found: list[float] = []
-    for begin in begins.tolist():
-        if not found or begin > found[-1] + APART_S:
-            found.append(begin)
-    return found
-
-
-# Events -------------------------------------------------------------------------------------------
-def _lasting(
-    kind: Callable[..., AnyEvent], duration_s: float, **fields: Any
-) -> Callable[[Ride, float], tuple[AnyEvent, ...]]:
-    """A fault that begins at speed."""
-    return lambda ride, end_s: (
-        kind(start_s=at_speed_s(ride, end_s), duration_s=duration_s, **fields),
-    )
-
-
-def _from_start(
-    kind: Callable[..., AnyEvent], **fields: Any
-) -> Callable[[Ride, float], tuple[AnyEvent, ...]]:
-    return lambda _, end_s: (kind(start_s=0.0, duration_s=end_s + 60.0, **fields),)
-
-
-def _drift(speed_mps: float) -> Callable[[Ride, float], tuple[AnyEvent, ...]]:
-    """Fixes, and velocities in them, wander off until the ride ends."""
-
-    def events(ride: Ride, end_s: float) -> tuple[AnyEvent, ...]:
-        start_s = at_speed_s(ride, end_s)
-        east_m = speed_mps * (end_s - start_s)
-        return (
-            GnssDrift(start_s=start_s, duration_s=end_s - start_s, east_m=east_m, velocity=True),
-        )
-
-    return events
-
-
-def _corner_gaps(ride: Ride, end_s: float) -> tuple[AnyEvent, ...]:
-    return tuple(
-        ImuLost(start_s=start_s, duration_s=1.5, straight=True)
-        for start_s in corners_s(ride, end_s)
-    )
-
-
-def _departure_jump(ride: Ride, _: float) -> tuple[AnyEvent, ...]:
-    departure_s = float(ride.dwells_s[0, 1])
-    return (
-        GnssJump(start_s=max(departure_s - 3.0, 0.0), duration_s=10.0, east_m=9.0, north_m=-12.0),
-    )
-
-
+# Changes ------------------------------------------------------------------------------------------
 def _turned(roll_deg: float = 0.0, yaw_deg: float = 0.0) -> Changes:
     """The case is mounted otherwise than configured; the base's own misalignment stays."""
     return {"imu": {"misalignment_deg": (0.4 + roll_deg, -0.7, 0.9 + yaw_deg)}}
 
 
+def _shaken(force_mps2: float, rate_radps: float) -> Changes:
+    rough = Roughness(waves_mps2=(force_mps2,) * 3, waves_radps=(rate_radps,) * 3)
+    return {"track": {"roughness": rough}}
+
+
+def _gear(name: str) -> Changes:
+    """Body and rails of a scenario."""
+    chosen = load(name)
+    return {"body": chosen.body, "track": chosen.track}
+
+
+_BOGIES_M = 6.4
+_STIFF = Body(pivots_m=(0.0, -_BOGIES_M), pitch_deg_per_mps2=0.0, roll_deg_per_mps2=0.0)
+_SHORT = Body(pivots_m=(0.0, -1.8))
+"""A truck of two axles, on springs: its chord is nearly the track."""
 _POSITION_ONLY: Changes = {
     "imu": None,
     "wheels": None,
@@ -196,33 +148,48 @@ WORLDS: tuple[World, ...] = (
     World(
         "boastful receiver",
         "σ stated ten times too small",
-        events=_from_start(GnssStated, factor=0.1),
+        events=from_start(GnssStated, factor=0.1),
         wanted=_GROSS,
         moving=True,
     ),
     World(
         "frozen fixes",
         "the last fix for 30 s, valid, without velocity",
-        events=_lasting(GnssFrozen, 30.0),
+        events=lasting(GnssFrozen, 30.0),
         wanted=_DEAD,
     ),
     World(
         "frozen fixes and velocity",
         "the last fix for 30 s, valid, with its velocity",
-        events=_lasting(GnssFrozen, 30.0, velocity="kept"),
+        events=lasting(GnssFrozen, 30.0, velocity="kept"),
         wanted=_DEAD,
     ),
     World(
         "spoofed jump",
         "fixes jump by 200 m for 60 s",
-        events=_lasting(GnssJump, 60.0, east_m=120.0, north_m=160.0),
+        events=lasting(GnssJump, 60.0, east_m=120.0, north_m=160.0),
         wanted=Wanted(10.0, sensible=False),
     ),
     World(
         "spoofed drift",
         "fixes and their velocity drift off by 0.2 m/s until the end",
-        events=_drift(0.2),
+        events=drift(0.2),
         wanted=Wanted(None, sensible=False),
+    ),
+    World(
+        "jammed receiver",
+        "errors of 10 m that it does not state, for 30 s",
+        events=lasting(GnssJammed, 30.0),
+    ),
+    World(
+        "static hold",
+        "place held and speed 0 below 1 m/s",
+        events=from_start(GnssHold, below_mps=1.0),
+    ),
+    World(
+        "heavy tails",
+        "white errors of 0.7 m, of Student's t with 3 degrees of freedom",
+        {"gnss": {"errors": {"white_horizontal_std_m": 0.7, "white_dof": 3.0}}},
     ),
     World(
         "antenna 1 m ahead",
@@ -244,18 +211,18 @@ WORLDS: tuple[World, ...] = (
         wanted=Wanted(60.0, sensible=False),
         moving=True,
     ),
-    World("IMU stuck", "repeats itself for 60 s", events=_lasting(ImuStuck, 60.0), wanted=_DEAD),
+    World("IMU stuck", "repeats itself for 60 s", events=lasting(ImuStuck, 60.0), wanted=_DEAD),
     World(
         "IMU axis saturated",
         "yaw gyroscope at the end of its range for 60 s",
-        events=_lasting(ImuSaturated, 60.0),
+        events=lasting(ImuSaturated, 60.0),
         wanted=_DEAD,
     ),
-    World("IMU all zero", "for 60 s", events=_lasting(ImuDead, 60.0), wanted=_DEAD),
+    World("IMU all zero", "for 60 s", events=lasting(ImuDead, 60.0), wanted=_DEAD),
     World(
         "IMU gaps drawn straight",
         "1.5 s in each corner, by the logger; fixes as ever",
-        events=_corner_gaps,
+        events=corner_gaps,
     ),
     World(
         "corner gaps, slow fixes",
@@ -270,32 +237,44 @@ WORLDS: tuple[World, ...] = (
             "wheels": None,
         },
         {"wheels": None},
-        events=_corner_gaps,
+        events=corner_gaps,
     ),
     World(
         "wheels 0 from the start",
         "both, all the way",
-        events=_from_start(WheelsFrozen),
+        events=from_start(WheelsFrozen),
         wanted=_DEAD,
         moving=True,
     ),
     World(
         "wheels frozen",
         "both stop counting at speed, for 60 s",
-        events=_lasting(WheelsFrozen, 60.0),
+        events=lasting(WheelsFrozen, 60.0),
         wanted=_DEAD,
     ),
     World(
         "wheels repeat their speed",
         "both go on counting as fast as at a moment, for 60 s",
-        events=_lasting(WheelsFrozen, 60.0, holds="speed"),
+        events=lasting(WheelsFrozen, 60.0, holds="speed"),
         wanted=_DEAD,
     ),
     World(
         "one wheel frozen",
         "the left one stops counting at speed, for 60 s",
-        events=_lasting(WheelsFrozen, 60.0, wheels=("left",)),
+        events=lasting(WheelsFrozen, 60.0, wheels=("left",)),
         wanted=_DEAD,
+    ),
+    World(
+        "slip for a minute",
+        "both wheels turn 10 % too fast for 60 s",
+        events=lasting(Slip, 60.0, factor=1.1),
+    ),
+    World(
+        "wheel clock 1 s off",
+        "stamps of the wheels 1 s late, all the way",
+        events=from_start(ClockOff, sensor="wheels", offset_s=1.0),
+        wanted=_GROSS,
+        moving=True,
     ),
     World(
         "warming IMU",
@@ -310,6 +289,40 @@ WORLDS: tuple[World, ...] = (
             }
         },
     ),
+    World("two bogies", "6.4 m apart, without springs", {"body": _STIFF}),
+    World(
+        "two bogies, pivot learned",
+        "the same, pivot_m = 0 and pivot_std_m = 3 configured",
+        {"body": _STIFF},
+        {"ekf": {"pivot_std_m": 3.0}},
+    ),
+    World(
+        "two bogies, pivot known",
+        "the same, pivot_m = 3.2 configured: their middle",
+        {"body": _STIFF},
+        {"ekf": {"pivot_m": _BOGIES_M / 2}},
+    ),
+    World(
+        "springs", "a short truck whose body nods and leans by 0.3° for 1 m/s²", {"body": _SHORT}
+    ),
+    World("vibration", "waves of 0.3 m/s² and 1 °/s at 10 m/s", _shaken(0.3, math.radians(1.0))),
+    World(
+        "vibration and springs",
+        "both",
+        {"body": _SHORT, **_shaken(0.3, math.radians(1.0))},
+    ),
+    World("tram", "two bogies, springs and rails of scenario tram", _gear("tram")),
+    World(
+        "articulated tram",
+        "three parts on four bogies, sensors in the first, scenario tram_articulated",
+        _gear("tram_articulated"),
+    ),
+    World(
+        "IMU in another part",
+        "the same with the IMU in the middle part, configured at its place",
+        {**_gear("tram_articulated"), "imu": {"part": 2, "lever_arm_m": (-12.0, 0.4, 0.6)}},
+        {"imu": {"lever_arm_m": (-12.0, 0.4, 0.6)}},
+    ),
     World("map 1 m beside", "the rails are 1 m to the left", map_error=MapError(beside_m=1.0)),
     World("map 2 m beside", "the rails are 2 m to the left", map_error=MapError(beside_m=2.0)),
     World(
@@ -321,7 +334,7 @@ WORLDS: tuple[World, ...] = (
     World(
         "first departure",
         "a fix jumps by 15 m around it; the ride ends a minute later",
-        events=_departure_jump,
+        events=departure_jump,
         duration_s=90.0,
     ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -23,6 +24,7 @@ from tramstream.simulation.event_kinds import (
     GnssDrift,
     GnssFrozen,
     GnssHold,
+    GnssJammed,
     GnssRateLost,
     GnssStated,
     ImuDead,
@@ -81,7 +83,7 @@ def fault(kind: type[Fault], **fields: object) -> Fault:
 ALL: list[Fault] = [
     fault(ImuStuck), fault(ImuDead), fault(ImuSaturated), fault(ImuLost),
     fault(ImuLost, straight=True), fault(GnssFrozen), fault(GnssHold, below_mps=30.0),
-    fault(GnssStated), fault(GnssRateLost), fault(WheelsFrozen),
+    fault(GnssJammed), fault(GnssStated), fault(GnssRateLost), fault(WheelsFrozen),
     fault(ClockOff, sensor="gnss", offset_s=0.3),
 ]  # fmt: skip
 
@@ -227,6 +229,23 @@ def test_lost_fixes_leave_one_in_so_many() -> None:
     left = of(keys.GNSS_FIX, fault(GnssRateLost, keeps=4))
     assert within(times_s(left)).sum() == -(-inside // 4)
     assert not within(times_s(of(keys.GNSS_FIX, fault(GnssRateLost)))).any()
+
+
+def test_jammed_receiver_has_few_satellites_and_errors_that_it_does_not_state() -> None:
+    jammed = GnssJammed(start_s=0.0, duration_s=END_S + 1.0, std_m=10.0, satellites=5)
+    was, now = of(keys.GNSS_FIX), of(keys.GNSS_FIX, jammed)
+    north = [
+        math.radians(each.message.latitude_deg - before.message.latitude_deg) * 6378137.0
+        for before, each in zip(was, now, strict=True)
+    ]
+    assert 4.0 < np.std(north) < 16.0  # of some thirteen independent ones
+    assert {each.message.satellites_used for each in now} == {5}
+    assert [each.message.horizontal_std_m for each in now] == [
+        each.message.horizontal_std_m for each in was
+    ]
+    deaf = of(keys.GNSS_FIX, fault(GnssJammed, satellites=3))
+    valid = np.array([each.message.valid for each in deaf])
+    np.testing.assert_array_equal(valid, ~within(times_s(deaf)))
 
 
 @pytest.mark.parametrize("velocity", [False, True])

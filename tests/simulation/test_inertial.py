@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 from motions import motion_of
@@ -305,3 +306,24 @@ def test_same_seed_gives_the_same_counts_and_another_seed_others() -> None:
     )
     np.testing.assert_array_equal(first, again)
     assert np.any(first != other)
+
+
+def test_gyroscope_reads_its_share_of_the_force() -> None:
+    errors = msgspec.structs.replace(STILL, gyro_radps_per_mps2=(1e-4, 0.0, -2e-4))
+    force = np.array([[1.0, 2.0, 9.8], [-3.0, 0.5, 9.7]])
+    counts = Imu(np.random.default_rng(1), 100.0, errors, FINE).measure(force, np.zeros((2, 3)))
+    expected = force * (1e-4, 0.0, -2e-4)
+    np.testing.assert_allclose(counts.gyro * FINE.gyro_radps, expected, atol=FINE.gyro_radps)
+
+
+def test_temperature_follows_its_course_whatever_the_cut_into_blocks() -> None:
+    errors = msgspec.structs.replace(
+        STILL, temperature_course=((0.0, -10.0), (2.0, 30.0), (3.0, 30.0)), gyro_scale_per_degc=0.0
+    )
+    fine = msgspec.structs.replace(FINE, temperature_degc=0.001)
+    sensor = Imu(np.random.default_rng(1), 10.0, errors, fine)
+    still = np.zeros((1, 3))
+    read = [sensor.measure(still, still).temperature[0] * 0.001 for _ in range(40)]
+    np.testing.assert_allclose(
+        read, np.minimum(-10.0 + 20.0 * np.arange(40) / 10.0, 30.0), atol=0.001
+    )

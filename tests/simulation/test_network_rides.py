@@ -112,3 +112,29 @@ def test_detours_go_where_trams_may_and_take_other_ways_than_the_line() -> None:
         assert 12 in route.runs  # the only legal way off the line
     assert not any(4 in route.runs for route in routes)  # ends 340 m on, the other way does not
     assert any(len(route.stops_m) > 2 for route in routes)
+
+
+ALONG_M = np.linspace(20.0, 1130.0, 60)
+MAIN = Route("main", (0, 2, 6), 10.0, 1150.0, (0.0, 1150.0))
+
+
+def test_rails_lie_as_far_to_the_left_of_the_map_as_it_is_wrong() -> None:
+    ride = laid(MAIN, error=MapError(0.0, beside_m=2.0))
+    yaw = ride.line.yaw_rad(ride.arc_length_at(ALONG_M))
+    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
+    across = np.sum(beside_m(ride, ALONG_M) * left, axis=1)
+    np.testing.assert_allclose(across, 2.0, atol=10 * CM)  # the line is fitted to its points
+
+
+def test_map_in_another_datum_is_as_far_off_everywhere() -> None:
+    ride = laid(MAIN, error=MapError(0.0, east_m=1.0, north_m=-3.0))
+    yaw = ride.line.yaw_rad(ride.arc_length_at(ALONG_M))
+    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
+    off = beside_m(ride, ALONG_M) - (1.0, -3.0)
+    np.testing.assert_allclose(np.sum(off * left, axis=1), 0.0, atol=10 * CM)
+
+
+def test_turned_map_is_turned_everywhere() -> None:
+    turned, straight = (laid(MAIN, error=MapError(0.0, turned_rad=rad)) for rad in (0.01, 0.0))
+    change = turned.line.yaw_rad(ALONG_M) - straight.line.yaw_rad(ALONG_M)
+    assert np.median(change) == pytest.approx(0.01, abs=0.001)

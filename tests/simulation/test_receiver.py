@@ -6,12 +6,13 @@ import math
 from functools import cache
 
 import numpy as np
+import pytest
 from motions import motion_of, standing
 from numpy.typing import NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.lines.line import Line, Segment, built_in_line
-from tramstream.simulation.receiver import Gnss, GnssErrors, antenna_motion
+from tramstream.simulation.receiver import Correlated, Gnss, GnssErrors, antenna_motion
 from tramstream.simulation.ride import Ride
 
 CHI2_SIGMA = 4.0
@@ -130,3 +131,38 @@ def test_fixes_wander_off_while_standing_and_come_back_on_the_way() -> None:
     assert not np.any(p_l[:, 2])
     away = np.hypot(*p_l[200:, :2].T)
     np.testing.assert_allclose(away[1:], away[:-1] * 0.9**0.5, rtol=1e-9)
+
+
+# Several correlation times, heavy tails -----------------------------------------------------------
+def test_parts_of_the_error_last_their_own_times() -> None:
+    parts = (
+        Correlated(horizontal_std_m=2.0, vertical_std_m=3.0, time_s=50.0),
+        Correlated(horizontal_std_m=1.0, time_s=2.0),
+    )
+    errors = GnssErrors(horizontal_std_m=0.0, vertical_std_m=0.0, correlated=parts)
+    receiver = Gnss(np.random.default_rng(4), 2.0, errors)
+    still, stands = np.zeros((20_000, 3)), np.ones(20_000, dtype=bool)
+    fixes = np.concatenate([receiver.measured(still, still, stands).p_l for _ in range(3)])
+    east, up = fixes[:, 0], fixes[:, 2]
+    assert np.std(east) == pytest.approx(math.sqrt(5.0), rel=0.1)
+    assert np.std(up) == pytest.approx(3.0, rel=0.1)
+    for lag_s, expected in (
+        (2.0, 4 * math.exp(-2 / 50) + math.exp(-1)),
+        (20.0, 4 * math.exp(-0.4)),
+    ):
+        lag = round(2.0 * lag_s)
+        assert np.mean(east[lag:] * east[:-lag]) == pytest.approx(expected, rel=0.15)
+
+
+def test_heavy_tails_keep_the_deviation_and_have_ten_times_the_outliers() -> None:
+    shared = {"horizontal_std_m": 0.0, "vertical_std_m": 0.0, "white_horizontal_std_m": 1.0}
+    still, stands = np.zeros((40_000, 3)), np.ones(40_000, dtype=bool)
+    normal, tailed = (
+        Gnss(np.random.default_rng(4), 2.0, GnssErrors(**shared, white_dof=dof))  # type: ignore[arg-type]
+        .measured(still, still, stands)
+        .p_l[:, 0]
+        for dof in (None, 4.0)
+    )
+    assert np.std(normal) == pytest.approx(1.0, rel=0.02)
+    assert np.std(tailed) == pytest.approx(1.0, rel=0.1)
+    assert np.mean(np.abs(tailed) > 4.0) > 10 * max(np.mean(np.abs(normal) > 4.0), 1e-4)

@@ -15,10 +15,10 @@ from tramstream.simulation.ride import Ride
 from tramstream.simulation.scenario import GnssJump, Slide, Tunnel, load, names, parse, stated_std_m
 
 
-def test_every_work_has_its_scenario_and_city_and_matching_are_ours() -> None:
+def test_every_work_has_its_scenario_and_city_matching_and_trams_are_ours() -> None:
     assert names() == [
         "chladek2023", "city", "kaspar2023", "konecny2004", "matching", "melenovsky2023",
-        "pusman2017",
+        "pusman2017", "tram", "tram_articulated",
     ]  # fmt: skip
 
 
@@ -175,3 +175,21 @@ def test_all_built_in_scenarios_have_sensible_angles() -> None:
         if chosen.imu is not None:
             assert all(abs(angle) <= 180 for angle in chosen.imu.mounting_deg)
             assert math.isfinite(chosen.imu.rate_hz)
+
+
+@pytest.mark.parametrize(("name", "parts"), [("tram", 1), ("tram_articulated", 3)])
+def test_trams_have_a_body_and_rails_and_the_sensors_of_city(name: str, parts: int) -> None:
+    chosen, city = load(name), load("city")
+    assert chosen.body is not None
+    assert chosen.body.parts == parts
+    assert chosen.track.roughness.felt
+    assert (chosen.imu, chosen.gnss, chosen.wheels) == (city.imu, city.gnss, city.wheels)
+    assert (chosen.driver, chosen.events) == (city.driver, city.events)
+
+
+def test_works_know_no_body_and_no_rough_rails() -> None:
+    for name in names():
+        if name[-4:].isdigit():
+            chosen = load(name)
+            assert chosen.body is None
+            assert not chosen.track.roughness.felt

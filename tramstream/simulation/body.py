@@ -13,11 +13,9 @@ first one's arc length follow from differentiating that twice:
 with c the chord, t the tangent at the pivot behind. Two derivatives give rates and accelerations
 exactly, however the vehicle speeds up.
 
-Springs: pitch and roll of the body against its bogies are those of oscillators
-ẍ + 2ζω ẋ + ω² x = ω² g f, driven by the specific force f along and across at the middle of the part
-(standing on a grade it leans as well), about a point at a height between its pivots. The force is
-taken at `NODES_HZ` and runs straight between; for that input the response is a closed form, and so
-value, rate and acceleration agree exactly at every instant.
+Springs (`simulation.springs`) add pitch and roll, as the specific force along and across at the
+middle of the part wants it (standing on a grade it leans as well), about a point at a height
+between its pivots.
 
 What is left out: bogies that turn and sway under their pivots, springs that give vertically, and
 the sensors' way when a pivot runs outside the line (there the track goes straight on).
@@ -32,7 +30,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
 from tramstream import geodesy
 from tramstream.attitude import C_vl, body_rates
@@ -41,11 +38,10 @@ from tramstream.lines.line import Line
 from tramstream.lines.profile import Shape
 from tramstream.simulation.imu import angular_acceleration_v
 from tramstream.simulation.ride import Motion, Ride
+from tramstream.simulation.springs import NODES_HZ, Oscillator, Springs
 
 Array = NDArray[np.float64]
 
-NODES_HZ = 100.0
-"""Of the force that springs feel: a hundred times their own frequency."""
 _NEWTON_STEPS = 4
 """The chord is nearly as long as the way: each step doubles the digits, from 3 on."""
 MAX_PARTS = 3
@@ -161,11 +157,9 @@ class Carriage:
         self.body = body
         self.ride = ride
         self._gravity_mps2 = gravity_mps2
-        nodes_s = np.arange(math.ceil(end_s * NODES_HZ) + 2) / NODES_HZ
-        self._springs = [
-            self._followed(part, nodes_s) if self._on_springs else None
-            for part in range(1, body.parts + 1)
-        ]
+        self._end_s = end_s
+        self._springs: dict[int, Springs] = {}
+        """Of the parts that were asked for."""
 
     @property
     def _on_springs(self) -> bool:
@@ -174,8 +168,7 @@ class Carriage:
     def part(self, number: int, time_s: Array) -> Part:
         """Give part `number` (1 is the first) at instants of the ride."""
         pivots, chord = self._carried(number, self.ride.motion(time_s))
-        springs = self._springs[number - 1]
-        body = chord if springs is None else springs.added(chord, time_s)
+        body = _sprung(chord, self._springs_of(number), time_s) if self._on_springs else chord
         length_m = self.body.pivots_m[number - 1] - self.body.pivots_m[number]
         centre_v = np.array([-length_m / 2, 0.0, self.body.centre_height_m])
         return Part(pivots, chord, body, centre_v)
@@ -223,20 +216,23 @@ class Carriage:
         vel_l, acc_l = _in_time(front, speed, change)
         return Pivots(front[0], vel_l, acc_l, _in_time(middle, speed, change)[1]), attitude
 
-    def _followed(self, number: int, nodes_s: Array) -> _Springs:
-        """Let springs feel the force of a whole ride."""
+    def _springs_of(self, number: int) -> Springs:
+        """Let springs of a part feel the force of the whole ride, once."""
+        known = self._springs.get(number)
+        if known is not None:
+            return known
+        nodes_s = np.arange(math.ceil(self._end_s * NODES_HZ) + 2) / NODES_HZ
         motion = self.ride.motion(nodes_s)
         pivots, chord = self._carried(number, motion)
         up_l = self.ride.up_l(motion) * self._gravity_mps2
         along, across, _ = np.einsum("nvl,nl->vn", chord.C_vl, pivots.middle_acc_l + up_l)
         body = self.body
-        nod = _Oscillator(
-            -math.radians(body.pitch_deg_per_mps2) * along, body.pitch_hz, body.damping
+        nod, lean = math.radians(body.pitch_deg_per_mps2), math.radians(body.roll_deg_per_mps2)
+        self._springs[number] = springs = Springs(
+            Oscillator(-nod * along, body.pitch_hz, body.damping),
+            Oscillator(lean * across, body.roll_hz, body.damping),
         )
-        lean = _Oscillator(
-            math.radians(body.roll_deg_per_mps2) * across, body.roll_hz, body.damping
-        )
-        return _Springs(nod, lean)
+        return springs
 
 
 # Points on the track ------------------------------------------------------------------------------
@@ -344,56 +340,17 @@ def _in_time(point: list[Array], speed: Array, change: Array) -> tuple[Array, Ar
     return point[1] * v, point[2] * v**2 + point[1] * a
 
 
-# Springs ------------------------------------------------------------------------------------------
-class _Oscillator:
-    """Response to a force that runs straight between nodes, in the steady state at the first.
-
-    With s = ω(−ζ + i√(1 − ζ²)) the one complex ż = s z + u has x = ω/√(1 − ζ²) Im z.
-    """
-
-    def __init__(self, force: Array, frequency_hz: float, damping: float) -> None:
-        omega = math.tau * frequency_hz
-        root = math.sqrt(1 - damping**2)
-        self._s = s = omega * complex(-damping, root)
-        self._scale = omega / root
-        self._force = force
-        step_s = 1 / NODES_HZ
-        fade = np.exp(s * step_s)
-        late = (fade - 1 - s * step_s) / (s**2 * step_s)  # of the node's force that comes
-        early = (fade - 1) / s - late
-        start = -force[0] / s
-        driven = early * force[:-1] + late * force[1:]
-        followed, _ = lfilter([1.0], [1.0, -fade], driven, zi=np.array([fade * start]))
-        self._z = np.concatenate([[start], followed])
-
-    def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        """Value and two derivatives."""
-        node = np.clip((time_s * NODES_HZ).astype(np.int64), 0, len(self._z) - 2)
-        past = time_s - node / NODES_HZ
-        u, rise = self._force[node], (self._force[node + 1] - self._force[node]) * NODES_HZ
-        s = self._s
-        fade = np.exp(s * past)
-        z = fade * self._z[node] + u * (fade - 1) / s + rise * (fade - 1 - s * past) / s**2
-        first = s * z + u + rise * past
-        second = s * first + rise
-        return (self._scale * z.imag, self._scale * first.imag, self._scale * second.imag)
-
-
-class _Springs(NamedTuple):
-    nod: _Oscillator
-    lean: _Oscillator
-
-    def added(self, chord: Attitude, time_s: Array) -> Attitude:
-        """Attitude of the body: that of the chord, and what springs add to roll and pitch."""
-        pitch, roll = self.nod.at(time_s), self.lean.at(time_s)
-        return chord._replace(
-            roll_rad=chord.roll_rad + roll[0],
-            pitch_rad=chord.pitch_rad + pitch[0],
-            roll_rate_radps=chord.roll_rate_radps + roll[1],
-            pitch_rate_radps=chord.pitch_rate_radps + pitch[1],
-            roll_acceleration_radps2=chord.roll_acceleration_radps2 + roll[2],
-            pitch_acceleration_radps2=chord.pitch_acceleration_radps2 + pitch[2],
-        )
+def _sprung(chord: Attitude, springs: Springs, time_s: Array) -> Attitude:
+    """Attitude of the body: that of the chord, and what springs add to roll and pitch."""
+    pitch, roll = springs.nod.at(time_s), springs.lean.at(time_s)
+    return chord._replace(
+        roll_rad=chord.roll_rad + roll[0],
+        pitch_rad=chord.pitch_rad + pitch[0],
+        roll_rate_radps=chord.roll_rate_radps + roll[1],
+        pitch_rate_radps=chord.pitch_rate_radps + pitch[1],
+        roll_acceleration_radps2=chord.roll_acceleration_radps2 + roll[2],
+        pitch_acceleration_radps2=chord.pitch_acceleration_radps2 + pitch[2],
+    )
 
 
 # Sensors ------------------------------------------------------------------------------------------

@@ -145,6 +145,19 @@ class GnssRateLost(Fault, frozen=True, kw_only=True, tag="gnss_lost"):
     """0: none is kept."""
 
 
+class GnssJammed(Fault, frozen=True, kw_only=True, tag="gnss_jammed"):
+    """A jammer nearby: fewer satellites, and errors that nobody states."""
+
+    std_m: NotNegative = 10.0
+    """Of the additional error, per axis; it lasts for some seconds."""
+    satellites: Annotated[int, Meta(ge=0)] = 5
+    """That are left; with less than 4 there is no fix."""
+    stated_factor: Positive = 1.0
+    """What is stated over what was stated before."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Of the error."""
+
+
 class WheelsFrozen(Fault, frozen=True, kw_only=True, tag="wheels_frozen"):
     """Wheels stop telling how they turn; what was not counted is not made up for afterwards."""
 
@@ -176,6 +189,7 @@ AnyEvent = (
     | GnssHold
     | GnssStated
     | GnssRateLost
+    | GnssJammed
     | WheelsFrozen
     | ClockOff
 )

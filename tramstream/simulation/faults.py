@@ -13,13 +13,11 @@ their batches are held back. When they are published does not change.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple, TypeVar
 
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.keys import Key
 from tramstream.processor import Sample
-from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry
 from tramstream.simulation.event_kinds import (
     AXES,
@@ -28,6 +26,7 @@ from tramstream.simulation.event_kinds import (
     Fault,
     GnssFrozen,
     GnssHold,
+    GnssJammed,
     GnssRateLost,
     GnssStated,
     ImuDead,
@@ -36,43 +35,12 @@ from tramstream.simulation.event_kinds import (
     ImuStuck,
     WheelsFrozen,
 )
+from tramstream.simulation.fault_stage import Stage, Timed, copied
+from tramstream.simulation.fix_faults import Jammed, Kept, Repeated, Stated
 
-M = TypeVar("M", ImuBatch, GnssFix, Odometry)
+__all__ = ["Timed", "faulted"]
+
 KEYS: dict[str, Key] = {"imu": keys.IMU_BATCH, "gnss": keys.GNSS_FIX, "wheels": keys.ODO_WHEELS}
-
-
-class Timed(NamedTuple):
-    """A fault from one stamp until before another."""
-
-    fault: Fault
-    start_ns: int
-    end_ns: int
-
-    def lasts(self, stamp_ns: int) -> bool:
-        """Whether an instant belongs to it."""
-        return self.start_ns <= stamp_ns < self.end_ns
-
-
-class Stage:
-    """One fault over the messages of its sensor; other keys pass."""
-
-    key: Key
-
-    def __init__(self, timed: Timed) -> None:
-        self.timed = timed
-
-    def step(self, sample: Sample) -> list[Sample]:
-        """Give what is recorded instead of a sample, and of those held back before."""
-        if sample.key.path != self.key.path:
-            return [sample]
-        return self._take(sample)
-
-    def end(self) -> list[Sample]:
-        """Give what is still held back."""
-        return []
-
-    def _take(self, sample: Sample) -> list[Sample]:
-        raise NotImplementedError
 
 
 def faulted(samples: Iterable[Sample], faults: Iterable[Timed]) -> Iterator[Sample]:
@@ -86,12 +54,6 @@ def _through(stage: Stage, samples: Iterable[Sample]) -> Iterator[Sample]:
     for sample in samples:
         yield from stage.step(sample)
     yield from stage.end()
-
-
-def _copied(message: M) -> M:
-    made = type(message)()
-    made.CopyFrom(message)
-    return made
 
 
 # The inertial sensor ------------------------------------------------------------------------------
@@ -125,7 +87,7 @@ class _Axes(Stage):
             if self._stuck and batch.stamp_ns < self.timed.start_ns:
                 self._instead = {axis: getattr(batch, axis)[-1] for axis in self._axes}
             return [sample]
-        changed = _copied(batch)
+        changed = copied(batch)
         for axis in self._axes:
             column = getattr(changed, axis)
             for row, is_wrong in enumerate(wrong):
@@ -202,7 +164,7 @@ class _Lost(Stage):
         total = sum(sum(wrong) for _, wrong in held)
         number, made = 0, []
         for sample, wrong in held:
-            changed = _copied(sample.message)
+            changed = copied(sample.message)
             for row, is_wrong in enumerate(wrong):
                 if is_wrong:
                     number += 1
@@ -218,7 +180,7 @@ class _Lost(Stage):
 
 def _part(sample: Sample, begin: int, end: int) -> Sample:
     """Rows of a batch as one of their own."""
-    part = _copied(sample.message)
+    part = copied(sample.message)
     for axis in AXES:
         column = getattr(part, axis)[begin:end]
         part.ClearField(axis)
@@ -226,98 +188,6 @@ def _part(sample: Sample, begin: int, end: int) -> Sample:
     part.first_sample_sequence += begin
     part.stamp_ns += round(begin * part.period_ns)
     return sample._replace(message=part, stamp_ns=part.stamp_ns)
-
-
-# The receiver -------------------------------------------------------------------------------------
-_PLACE = ("latitude_deg", "longitude_deg", "height_ellipsoid_m", "height_msl_m")
-_VELOCITY = ("vel_n_mps", "vel_e_mps", "vel_d_mps", "speed_mps", "course_deg")
-
-
-def _stop(fix: GnssFix) -> None:
-    """Say in a fix that the antenna does not move."""
-    for name in _VELOCITY[:3]:
-        if fix.HasField(name):
-            setattr(fix, name, 0.0)
-    fix.speed_mps = 0.0
-
-
-class _Repeated(Stage):
-    """Fixes that repeat a place: frozen, or held while the receiver thinks that it stands."""
-
-    key = keys.GNSS_FIX
-
-    def __init__(self, timed: Timed) -> None:
-        super().__init__(timed)
-        self._held: GnssFix | None = None
-
-    def _take(self, sample: Sample) -> list[Sample]:
-        fix: GnssFix = sample.message
-        if not self.timed.lasts(sample.stamp_ns) or not self._repeats(fix):
-            self._held = fix if fix.valid else self._held
-            return [sample]
-        if self._held is None:
-            self._held = fix
-        changed = _copied(fix)
-        for name in _PLACE:
-            setattr(changed, name, getattr(self._held, name))
-        self._change(changed, self._held)
-        return [sample._replace(message=changed)]
-
-    def _repeats(self, fix: GnssFix) -> bool:
-        fault = self.timed.fault
-        return isinstance(fault, GnssFrozen) or (
-            isinstance(fault, GnssHold) and fix.valid and fix.speed_mps < fault.below_mps
-        )
-
-    def _change(self, fix: GnssFix, held: GnssFix) -> None:
-        fault = self.timed.fault
-        if not isinstance(fault, GnssFrozen):
-            _stop(fix)
-            return
-        fix.valid, fix.fix_type, fix.invalid_llh = True, held.fix_type, False
-        fix.horizontal_std_m, fix.vertical_std_m = held.horizontal_std_m, held.vertical_std_m
-        if fault.velocity == "zero":
-            _stop(fix)
-            return
-        for name in _VELOCITY:
-            if fault.velocity == "kept":
-                setattr(fix, name, getattr(held, name))
-            else:
-                fix.ClearField(name)
-
-
-class _Stated(Stage):
-    """Deviations that the receiver states wrongly."""
-
-    key = keys.GNSS_FIX
-
-    def _take(self, sample: Sample) -> list[Sample]:
-        fault = self.timed.fault
-        assert isinstance(fault, GnssStated)
-        if not (self.timed.lasts(sample.stamp_ns) and sample.message.valid):
-            return [sample]
-        changed = _copied(sample.message)
-        changed.horizontal_std_m *= fault.factor
-        changed.vertical_std_m *= fault.factor
-        return [sample._replace(message=changed)]
-
-
-class _Kept(Stage):
-    """Fixes that get lost, but for one in so many."""
-
-    key = keys.GNSS_FIX
-
-    def __init__(self, timed: Timed) -> None:
-        super().__init__(timed)
-        self._count = 0
-
-    def _take(self, sample: Sample) -> list[Sample]:
-        fault = self.timed.fault
-        assert isinstance(fault, GnssRateLost)
-        if not self.timed.lasts(sample.stamp_ns):
-            return [sample]
-        self._count += 1
-        return [sample] if fault.keeps and self._count % fault.keeps == 1 % fault.keeps else []
 
 
 # Wheels -------------------------------------------------------------------------------------------
@@ -347,7 +217,7 @@ class _Frozen(Stage):
                 self._count(reading.wheel, reading.pulses, lasts)
         if not any(self._missing.values()):
             return [sample]
-        changed = _copied(odometry)
+        changed = copied(odometry)
         for reading in changed.wheels:
             reading.pulses -= self._missing.get(reading.wheel, 0)
         return [sample._replace(message=changed)]
@@ -377,7 +247,7 @@ class _Clock(Stage):
     def _take(self, sample: Sample) -> list[Sample]:
         made = sample
         if self.timed.lasts(sample.stamp_ns):
-            changed = _copied(sample.message)
+            changed = copied(sample.message)
             changed.stamp_ns += self._offset_ns
             made = sample._replace(message=changed, stamp_ns=changed.stamp_ns)
         publish_ns = max(made.publish_ns, made.stamp_ns, self._last_ns + 1)
@@ -390,10 +260,11 @@ _STAGES: dict[type[Fault], Callable[[Timed], Stage]] = {
     ImuDead: _Axes,
     ImuSaturated: _Axes,
     ImuLost: _Lost,
-    GnssFrozen: _Repeated,
-    GnssHold: _Repeated,
-    GnssStated: _Stated,
-    GnssRateLost: _Kept,
+    GnssFrozen: Repeated,
+    GnssHold: Repeated,
+    GnssStated: Stated,
+    GnssRateLost: Kept,
+    GnssJammed: Jammed,
     WheelsFrozen: _Frozen,
     ClockOff: _Clock,
 }

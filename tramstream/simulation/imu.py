@@ -137,6 +137,8 @@ class ImuErrors(Struct, frozen=True, kw_only=True):
     gyro_scale_per_degc: float = 0.0001
     """Change of scale a degree; 0.01 % in docs/theory.md, section 3.9."""
     gyro_bias_radps_per_degc: float = 0.0
+    gyro_radps_per_mps2: Vector = (0.0, 0.0, 0.0)
+    """What each axis reads of the specific force along itself (g-sensitivity)."""
     accel_bias_mps2: Vector = (0.1, 0.1, 0.1)
     accel_noise_mps2_rthz: NotNegative = 0.00022563
     accel_instability_mps2: NotNegative = 0.000035316
@@ -152,6 +154,8 @@ class ImuErrors(Struct, frozen=True, kw_only=True):
     """At switching on; None: as in the end."""
     temperature_time_s: Positive = 900.0
     """Of the exponential from start to end."""
+    temperature_course: tuple[tuple[NotNegative, float], ...] = ()
+    """Instead of that: seconds since switching on and °C, straight between."""
 
 
 class ImuScales(Struct, frozen=True, kw_only=True):
@@ -194,6 +198,7 @@ class Imu:
         self._noise = noise * math.sqrt(rate_hz) / unit
         self._gyro = _response(errors.gyro_scale, errors.gyro_cross_axis) / scales.gyro_radps
         self._accel = _response(errors.accel_scale, errors.accel_cross_axis) / scales.accel_mps2
+        self._sensitivity = np.array(errors.gyro_radps_per_mps2) / scales.gyro_radps
         per_degc = [errors.gyro_bias_radps_per_degc, errors.accel_bias_mps2_per_degc]
         self._bias_per_degc = np.repeat(per_degc, 3) / unit
         scale_per_degc = [errors.gyro_scale_per_degc, errors.accel_scale_per_degc]
@@ -220,6 +225,8 @@ class Imu:
         values = np.empty((len(f_b), 6))
         values[:, :3] = omega_b @ self._gyro.T
         values[:, 3:] = f_b @ self._accel.T
+        if np.any(self._sensitivity):
+            values[:, :3] += f_b * self._sensitivity
         temperature_degc = self._temperature_degc(len(values))
         warmer = temperature_degc[:, None] - REFERENCE_DEGC
         if np.any(warmer):
@@ -239,6 +246,11 @@ class Imu:
 
     def _temperature_degc(self, count: int) -> Array:
         end_degc, start_degc = self.errors.temperature_degc, self.errors.temperature_start_degc
+        if self.errors.temperature_course:
+            time_s = np.arange(self._count, self._count + count) / self._rate_hz
+            at_s, course_degc = np.transpose(self.errors.temperature_course)
+            course: Array = np.interp(time_s, at_s, course_degc)
+            return course
         if start_degc is None or start_degc == end_degc:
             return np.full(count, end_degc)
         time_s = np.arange(self._count, self._count + count) / self._rate_hz

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tramstream.attitude import C_vl, body_rates
 from tramstream.clock import GPS_EPOCH_UNIX_S
-from tramstream.config import NotNegative, Struct, Vector
+from tramstream.config import NotNegative, Positive, Struct, Vector
 from tramstream.simulation.ride import Motion
 
 Array = NDArray[np.float64]
@@ -24,6 +24,16 @@ Array = NDArray[np.float64]
 LEAP_SECONDS = 18
 """GPS time is ahead of UTC by so much since 2017."""
 GPS_MINUS_UNIX_S = LEAP_SECONDS - GPS_EPOCH_UNIX_S
+
+
+class Correlated(Struct, frozen=True, kw_only=True):
+    """A part of the fixes' errors that lasts its own time."""
+
+    horizontal_std_m: NotNegative = 0.0
+    """Stationary, per axis."""
+    vertical_std_m: NotNegative = 0.0
+    time_s: Positive = 600.0
+    """After which 1/e of it is left."""
 
 
 class GnssErrors(Struct, frozen=True, kw_only=True):
@@ -37,6 +47,11 @@ class GnssErrors(Struct, frozen=True, kw_only=True):
     white_horizontal_std_m: NotNegative = 0.0
     """Per axis, independent from epoch to epoch, on top."""
     white_vertical_std_m: NotNegative = 0.0
+    white_dof: Annotated[float, Meta(gt=2)] | None = None
+    """Degrees of freedom of Student's t that these follow, with the same deviation: the fewer, the
+    heavier its tails; None: they are normal."""
+    correlated: tuple[Correlated, ...] = ()
+    """More parts, beside the one that `decay` is of."""
     standing_drift_mps: NotNegative = 0.0
     """Deviation of the speed, per horizontal axis, at which a fix wanders off while the antenna
     stands; drawn at each stop, and forgotten with `decay` once the antenna moves."""
@@ -73,6 +88,8 @@ class Gnss:
         self._keep = errors.decay ** (1 / rate_hz)
         self._drive = self._std * math.sqrt(1 - self._keep**2)
         self._error_l: Array | None = None
+        parts_rng, self._tails_rng = rng.spawn(2)
+        self._parts = [_Part(each, rate_hz, parts_rng) for each in errors.correlated]
         self._wander_step = np.array([1.0, 1.0, 0.0]) * errors.standing_drift_mps / rate_hz
         self._wandered_l = np.zeros(3)
         self._wandering_l: Array | None = None  # a step of the stop that lasts
@@ -103,7 +120,9 @@ class Gnss:
         errors = self._correlated_l(noise[:, 0])
         if np.any(self._wander_step):
             errors += self._wander_l(noise[:, 3], standing)
-        errors += self._white_std * noise[:, 2]
+        errors += self._white_std * self._tailed(noise[:, 2])
+        for part in self._parts:
+            errors += part.next(len(errors))
         return Fixes(antenna + errors, velocity + self.errors.velocity_std_mps * noise[:, 1])
 
     def _correlated_l(self, noise: Array) -> Array:
@@ -115,6 +134,14 @@ class Gnss:
                 self._error_l = self._keep * self._error_l + self._drive * drawn
             errors[row] = self._error_l
         return errors
+
+    def _tailed(self, noise: Array) -> Array:
+        """Normal noise as Student's t of the same deviation."""
+        dof = self.errors.white_dof
+        if dof is None:
+            return noise
+        tailed: Array = noise * np.sqrt((dof - 2) / self._tails_rng.chisquare(dof, noise.shape))
+        return tailed
 
     def _wander_l(self, noise: Array, standing: NDArray[np.bool_]) -> Array:
         wandered = np.empty_like(noise)
@@ -128,6 +155,25 @@ class Gnss:
                 self._wandered_l = self._wandered_l + self._wandering_l
             wandered[row] = self._wandered_l
         return wandered
+
+
+class _Part:
+    """One more Gauss-Markov error."""
+
+    def __init__(self, of: Correlated, rate_hz: float, rng: Generator) -> None:
+        self._rng = rng
+        self._std = np.array([of.horizontal_std_m, of.horizontal_std_m, of.vertical_std_m])
+        self._keep = math.exp(-1 / (rate_hz * of.time_s))
+        self._error_l = self._std * rng.standard_normal(3)
+
+    def next(self, count: int) -> Array:
+        """Errors of the next epochs, (count, 3)."""
+        drive = self._std * math.sqrt(1 - self._keep**2)
+        errors = np.empty((count, 3))
+        for row, drawn in enumerate(self._rng.standard_normal((count, 3))):
+            errors[row] = self._error_l
+            self._error_l = self._keep * self._error_l + drive * drawn
+        return errors
 
 
 def antenna_motion(p_l: Array, motion: Motion, p_va_v: Array) -> tuple[Array, Array]:

@@ -144,7 +144,8 @@ class Ride:
         east, north, _ = np.moveaxis(self.up_l(motion), -1, 0)
         yaw = self.line.yaw_rad(motion.arc_length_m)
         grade = self.line.grade(motion.arc_length_m) + east * np.cos(yaw) + north * np.sin(yaw)
-        return self.direction * grade
+        along: Array = self.direction * grade
+        return along
 
     def up_l(self, motion: Motion) -> Array:
         """Direction of the place's up in `l` where a motion is; shape (n, 3)."""

@@ -33,6 +33,7 @@ from tramstream.simulation.event_kinds import (
 )
 from tramstream.simulation.imu import ImuErrors, ImuScales
 from tramstream.simulation.receiver import GnssErrors
+from tramstream.simulation.roughness import Roughness
 from tramstream.simulation.speed_plan import Limits
 from tramstream.simulation.wheels import Axle
 from tramstream.strict_toml import decode_toml
@@ -151,6 +152,7 @@ class Track(Struct, frozen=True, kw_only=True):
     cant: bool = True
     geoid_m: float = geodesy.PRAGUE_GEOID_M
     """Height of the geoid above the ellipsoid; a map's heights are above the geoid."""
+    roughness: Roughness = Roughness()
 
 
 class Scenario(Struct, frozen=True, kw_only=True):

@@ -30,6 +30,7 @@ from tramstream.simulation.faults import Timed, faulted
 from tramstream.simulation.imu import Imu, inertial
 from tramstream.simulation.receiver import Gnss, antenna_motion
 from tramstream.simulation.ride import Motion, Ride
+from tramstream.simulation.roughness import Shaking
 from tramstream.simulation.scenario import SIDES, Scenario, Timing
 from tramstream.simulation.scenario import Gnss as GnssSection
 from tramstream.simulation.scenario import Imu as ImuSection
@@ -80,7 +81,7 @@ class Simulation:
         self.line = line if scenario.track.cant else line.without_cant()
         self.scenario = scenario
         self.seed = seed
-        happenings_rng, driver_rng = self._generators()[3:]
+        happenings_rng, driver_rng, roughness_rng = self._generators()[3:]
         self.ride = Ride(self.line, scenario.driver, scenario.reverse, driver_rng)
         self.duration_s = self.ride.duration_s + scenario.end_s
         if duration_s is not None:
@@ -88,15 +89,22 @@ class Simulation:
         level = self.line.level
         self.gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         body = scenario.body
-        self.carriage = body and Carriage(body, self.ride, self.gravity_mps2, self.duration_s)
+        self.carriage: Carriage | None = None
         """Of the body; None where the vehicle is a point that follows the rail."""
+        if body is not None:
+            self.carriage = Carriage(body, self.ride, self.gravity_mps2, self.duration_s)
+        pivots_m = body.pivots_m if body is not None else (0.0,)
+        roughness = scenario.track.roughness
+        self.shaking: Shaking | None = None
+        if roughness.felt:
+            self.shaking = Shaking(roughness, self.ride, pivots_m, roughness_rng)
         self.happenings = Happenings(scenario, self.ride, happenings_rng)
         self.vehicle: config.Vehicle = configuration(scenario)
         """The configuration that a vehicle with these sensors would have."""
 
     def _generators(self) -> list[Generator]:
-        """Of IMU, receiver, wheels, happenings and driver."""
-        return np.random.default_rng(self.seed).spawn(5)
+        """Of IMU, receiver, wheels, happenings, driver and roughness."""
+        return np.random.default_rng(self.seed).spawn(6)
 
     def truth(self, stamp_ns: ArrayLike) -> Truth:
         """Give the exact state of the vehicle at instants of the vehicle clock."""
@@ -196,10 +204,15 @@ class Simulation:
         motion = self.ride.motion(time_s)
         up_l = self.ride.up_l(motion)
         if self.carriage is None:
-            return inertial(motion, self.gravity_mps2, lever, up_l)
-        part = self.carriage.part(section.part, time_s)
-        lever_v = self.carriage.lever_v(section.part, lever)
-        return inertial_of(part, self.gravity_mps2, lever_v, up_l)
+            felt = inertial(motion, self.gravity_mps2, lever, up_l)
+        else:
+            part = self.carriage.part(section.part, time_s)
+            lever_v = self.carriage.lever_v(section.part, lever)
+            felt = inertial_of(part, self.gravity_mps2, lever_v, up_l)
+        if self.shaking is None:
+            return felt
+        force, rate = self.shaking.felt(motion, time_s)
+        return felt[0] + force, felt[1] + rate
 
     def _antenna(
         self, section: GnssSection, time_s: Array, lever: config.Vector

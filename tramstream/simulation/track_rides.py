@@ -67,7 +67,9 @@ class MapError(NamedTuple):
     """The rails are so much to the left of the map, all along,"""
     east_m: float = 0.0
     north_m: float = 0.0
-    """or so far to the east and north: a map in another datum."""
+    """or so far to the east and north: a map in another datum,"""
+    turned_rad: float = 0.0
+    """or turned to the left about the middle of the route."""
 
 
 class Spots(NamedTuple):
@@ -215,7 +217,7 @@ def lay(
     left = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     error = error or MapError()
     across_m = error.beside_m + _across_m(route_m, rng, error)
-    points = points + left * across_m[:, None] + (error.east_m, error.north_m)
+    points = _moved(points + left * across_m[:, None], error)
     chain_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     geodetic = np.column_stack([network.geodetic_of(points), _heights(network, at)])
     stops_m = np.interp(route.stops_m, route_m, chain_m).tolist()
@@ -225,6 +227,17 @@ def lay(
         raise ConfigError(f"route {route.name}: doubles back; no tram can follow it in one go")
     beside_m = np.interp(laid.chainage_m, chain_m, route_m)
     return NetworkRide(network, route, laid.line, laid.arc_length_m, beside_m)
+
+
+def _moved(points: Array, error: MapError) -> Array:
+    """Turn and shift the rails against the map."""
+    if not (error.turned_rad or error.east_m or error.north_m):
+        return points
+    cos, sin = math.cos(error.turned_rad), math.sin(error.turned_rad)
+    middle = points.mean(axis=0)
+    shift = middle + np.array([error.east_m, error.north_m])
+    moved: Array = shift + (points - middle) @ np.array([[cos, sin], [-sin, cos]])
+    return moved
 
 
 def _across_m(route_m: Array, rng: Generator, error: MapError) -> Array:
