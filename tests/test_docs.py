@@ -57,13 +57,27 @@ def test_example_configurations_load() -> None:
         assert load(path).vehicle == tomllib.loads(path.read_text())["vehicle"]
 
 
-def test_scenario_of_the_simulation_page_is_one() -> None:
+def test_scenarios_of_the_simulation_page_are_some() -> None:
     from tramstream.simulation.scenario import parse
 
     page = (REPOSITORY / "docs" / "simulation.md").read_text()
-    scenario = parse(page.split("```toml\n")[1].split("```")[0].encode(), "simulation.md")
+    blocks = [each.split("```")[0] for each in page.split("```toml\n")[1:]]
+    body, rails, scenario = (parse(each.encode(), "simulation.md") for each in blocks)
+    assert body.body is not None
+    assert rails.track.roughness.felt
     assert scenario.reverse
     assert len(scenario.events) == 2
+
+
+def test_simulation_page_names_every_kind_of_fault() -> None:
+    from tramstream.simulation import event_kinds
+
+    page = (REPOSITORY / "docs" / "simulation.md").read_text()
+    kinds = [each for each in vars(event_kinds).values() if isinstance(each, type)]
+    faults = [each for each in kinds if issubclass(each, event_kinds.Fault)]
+    named = [each.__struct_config__.tag for each in faults if each is not event_kinds.Fault]
+    assert len(named) > 10
+    assert [each for each in named if f"`{each}`" not in page] == []
 
 
 # What docstrings, comments and pages cite ---------------------------------------------------------

@@ -53,7 +53,7 @@ EVERY = 10
 """Judged frames: 10 Hz."""
 DURATION_S = 300.0
 SEED = 101
-"""First of the issue's."""
+"""First of the seeds in docs/accuracy.md."""
 FREE, MAPPED = "no map", "map"
 
 

@@ -12,8 +12,8 @@ from tramstream.analysis.studies.worlds import Case, Figures, said
 from tramstream.analysis.studies.worlds_table import TODAY, world_of
 
 RATIO, NEES, BEYOND, TRACK = 1.5, (0.5, 2.0), 0.01, 0.995
-"""Wanted by issue 11: P90 over today's, NEES a dimension, share beyond the protection level of one
-world, right track."""
+"""Wanted (docs/accuracy.md, *Worlds*): P90 over today's, NEES a dimension, share of a world's time
+beyond the protection level, right track."""
 DIMENSIONS = 2
 
 
@@ -45,7 +45,7 @@ class Sum:
     said_by: tuple[str, ...]
     """Kinds of events that said it."""
     failed: tuple[str, ...]
-    """What of the issue's wishes it does not meet."""
+    """What of that it does not meet."""
 
 
 def sums(figures: Sequence[Figures]) -> list[Sum]:
@@ -113,7 +113,7 @@ def _sum(rides: list[Figures], today: dict[tuple[Case, float, bool], Figures]) -
 
 
 def _judged(made: Sum) -> Sum:
-    """Hold a sum to the issue."""
+    """Hold a sum to what is wanted."""
     world = world_of(made.world)
     failed = []
     if world is not None and world.wanted.sensible:

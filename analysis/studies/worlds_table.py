@@ -4,7 +4,7 @@ A world is a value. `true` changes the base scenario into what the simulator doe
 into what the configuration is made from. So the filter is told what an operator knows of the
 vehicle as it should be, and never the simulator's own parameters: where `told` is empty it has the
 configuration of the base scenario, whatever happens. `events` are made from the ride, for many are
-at a speed or in a curve of it. Issue 11 lists the worlds and what it wants of each.
+at a speed or in a curve of it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ DECAY_OF_600_S = math.exp(-1.0 / SLOW_TAU_S)
 
 
 class Wanted(NamedTuple):
-    """What the issue wants of a world beside figures."""
+    """What is wanted of a world beside figures."""
 
     said_s: float | None = None
     """The fault is to be said so long after it began; None: nothing needs to be said."""

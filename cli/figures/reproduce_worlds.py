@@ -125,8 +125,8 @@ def _print(console: Console, figures: Sequence[Figures], elapsed_s: float) -> No
     console.print(
         f"{len(figures)} rides of filters in {elapsed_s:.0f} s. over: P90 over that of the same\n"
         "rides as today. PL: time beyond the protection level (claimed: 0.1 %). said: after the\n"
-        "fault, by which kind of event (-: never); the worst of all seeds. fails: what issue 11\n"
-        "wants of it: P90 at most 1.5 times today's, NEES of 1 to 4, PL at most 1 %, right track\n"
+        "fault, by which kind of event (-: never); the worst of all seeds. fails: what is\n"
+        "wanted of it: P90 at most 1.5 times today's, NEES of 1 to 4, PL at most 1 %, right track\n"
         "99.5 %, said in time.",
         soft_wrap=True,
     )

@@ -178,6 +178,13 @@ class Resampler(Processor):
         mean.accel_x_mps2 = counts[3] * accel
         mean.accel_y_mps2 = counts[4] * accel
         mean.accel_z_mps2 = counts[5] * accel
+        scatter = window.scatter
+        mean.gyro_x_std_radps = scatter[0] * gyro
+        mean.gyro_y_std_radps = scatter[1] * gyro
+        mean.gyro_z_std_radps = scatter[2] * gyro
+        mean.accel_x_std_mps2 = scatter[3] * accel
+        mean.accel_y_std_mps2 = scatter[4] * accel
+        mean.accel_z_std_mps2 = scatter[5] * accel
         mean.temperature_degc = batch.temperature * batch.temperature_scale_degc
         self._samples.delivered += window.sample_count
         stamp_ns = window.stamp_ns

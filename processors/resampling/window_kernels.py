@@ -7,6 +7,8 @@ other as packed variable-length integers (https://protobuf.dev/programming-guide
 
 from __future__ import annotations
 
+import math
+
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.proto.raw_pb2 import ImuBatch
 
@@ -86,6 +88,38 @@ def _integer(payload: bytes, position: int) -> tuple[int, int]:
         shift += 7
         if byte < 128:
             return value, position
+
+
+@compiled
+def scatter(block: Array, begin: int, count: int) -> tuple[float, ...]:
+    """Deviation of each channel's `count` samples from `begin` on about their mean; 0 of one.
+
+    Returns
+    -------
+    tuple of 6 floats
+    """
+    if count < 2:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    a = _deviation(block[0], begin, count)
+    b = _deviation(block[1], begin, count)
+    c = _deviation(block[2], begin, count)
+    d = _deviation(block[3], begin, count)
+    e = _deviation(block[4], begin, count)
+    f = _deviation(block[5], begin, count)
+    return a, b, c, d, e, f
+
+
+@compiled
+def _deviation(row: Array, begin: int, count: int) -> float:
+    """Root of the unbiased variance; from the first sample on, so that large counts keep digits."""
+    origin = row[begin]
+    total = squares = 0.0
+    for index in range(begin, begin + count):
+        off = row[index] - origin
+        total += off
+        squares += off * off
+    variance = (squares - total * total / count) / (count - 1)
+    return math.sqrt(max(variance, 0.0))
 
 
 @compiled

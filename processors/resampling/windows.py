@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream.processors.resampling.window_kernels import CHANNELS, read_batch, weigh
+from tramstream.processors.resampling.window_kernels import CHANNELS, read_batch, scatter, weigh
 from tramstream.proto.raw_pb2 import ImuBatch
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ class Window(NamedTuple):
     interval_ns: float
     counts: tuple[float, ...]
     """gyro x y z, accelerometer x y z, in counts."""
+    scatter: tuple[float, ...] = (0.0,) * CHANNELS
+    """Deviation of the core's samples about their mean, likewise."""
 
 
 def mean_taps(factor: int) -> Array:
@@ -150,6 +152,7 @@ class Windows:
         block = np.zeros((CHANNELS + 1, len(taps)))
         read_batch(b"", block, 0, 0.0, 0.0)  # compiled here, not at the first step
         weigh(block, 0, taps)
+        scatter(block, 0, 1)
 
     @property
     def last_stamp_ns(self) -> int:
@@ -268,6 +271,7 @@ class Windows:
             bridged,
             period_ns * factor,
             sums[:CHANNELS],
+            scatter(self._columns.block, begin + self.lead, factor),
         )
 
     def _bridged(self, start: int, stop: int) -> int:

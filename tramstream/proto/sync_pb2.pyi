@@ -9,7 +9,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class ImuMean(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "first_sample_sequence", "sample_count", "bridged_count", "interval_s", "gyro_x_radps", "gyro_y_radps", "gyro_z_radps", "accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "temperature_degc")
+    __slots__ = ("stamp_ns", "sequence", "first_sample_sequence", "sample_count", "bridged_count", "interval_s", "gyro_x_radps", "gyro_y_radps", "gyro_z_radps", "accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "temperature_degc", "gyro_x_std_radps", "gyro_y_std_radps", "gyro_z_std_radps", "accel_x_std_mps2", "accel_y_std_mps2", "accel_z_std_mps2")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     FIRST_SAMPLE_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
@@ -23,6 +23,12 @@ class ImuMean(_message.Message):
     ACCEL_Y_MPS2_FIELD_NUMBER: _ClassVar[int]
     ACCEL_Z_MPS2_FIELD_NUMBER: _ClassVar[int]
     TEMPERATURE_DEGC_FIELD_NUMBER: _ClassVar[int]
+    GYRO_X_STD_RADPS_FIELD_NUMBER: _ClassVar[int]
+    GYRO_Y_STD_RADPS_FIELD_NUMBER: _ClassVar[int]
+    GYRO_Z_STD_RADPS_FIELD_NUMBER: _ClassVar[int]
+    ACCEL_X_STD_MPS2_FIELD_NUMBER: _ClassVar[int]
+    ACCEL_Y_STD_MPS2_FIELD_NUMBER: _ClassVar[int]
+    ACCEL_Z_STD_MPS2_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     first_sample_sequence: int
@@ -36,7 +42,13 @@ class ImuMean(_message.Message):
     accel_y_mps2: float
     accel_z_mps2: float
     temperature_degc: float
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., first_sample_sequence: _Optional[int] = ..., sample_count: _Optional[int] = ..., bridged_count: _Optional[int] = ..., interval_s: _Optional[float] = ..., gyro_x_radps: _Optional[float] = ..., gyro_y_radps: _Optional[float] = ..., gyro_z_radps: _Optional[float] = ..., accel_x_mps2: _Optional[float] = ..., accel_y_mps2: _Optional[float] = ..., accel_z_mps2: _Optional[float] = ..., temperature_degc: _Optional[float] = ...) -> None: ...
+    gyro_x_std_radps: float
+    gyro_y_std_radps: float
+    gyro_z_std_radps: float
+    accel_x_std_mps2: float
+    accel_y_std_mps2: float
+    accel_z_std_mps2: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., first_sample_sequence: _Optional[int] = ..., sample_count: _Optional[int] = ..., bridged_count: _Optional[int] = ..., interval_s: _Optional[float] = ..., gyro_x_radps: _Optional[float] = ..., gyro_y_radps: _Optional[float] = ..., gyro_z_radps: _Optional[float] = ..., accel_x_mps2: _Optional[float] = ..., accel_y_mps2: _Optional[float] = ..., accel_z_mps2: _Optional[float] = ..., temperature_degc: _Optional[float] = ..., gyro_x_std_radps: _Optional[float] = ..., gyro_y_std_radps: _Optional[float] = ..., gyro_z_std_radps: _Optional[float] = ..., accel_x_std_mps2: _Optional[float] = ..., accel_y_std_mps2: _Optional[float] = ..., accel_z_std_mps2: _Optional[float] = ...) -> None: ...
 
 class SyncFrame(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "imu", "gnss", "odometry", "ahead")

@@ -49,7 +49,7 @@ Number = Annotated[int, Meta(ge=1, le=MAX_PARTS)]
 
 
 class Body(Struct, frozen=True, kw_only=True):
-    """Bogies and springs; figures of a tram with two bogies (issue 11)."""
+    """Bogies and springs; the defaults are those of a tram of one part, its springs soft."""
 
     pivots_m: Annotated[tuple[float, ...], Meta(min_length=2, max_length=MAX_PARTS + 1)] = (
         0.0,

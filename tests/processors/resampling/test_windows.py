@@ -47,6 +47,22 @@ def test_mean_equals_numpy_mean_of_each_window() -> None:
 
 
 @pytest.mark.parametrize("method", ["mean", "lowpass"])
+def test_scatter_is_numpys_of_the_samples_that_a_window_is_centred_on(method: str) -> None:
+    counts = noise(2000) + 30_000_000  # large counts keep their digits
+    found = run(Windows(20, taps_of(method)), batches(counts))
+    firsts = [window.first_sequence for window in found]
+    expected = [np.std(counts[:, first : first + 20], axis=1, ddof=1) for first in firsts]
+    assert len(found) > 50
+    np.testing.assert_allclose([window.scatter for window in found], expected, rtol=1e-9)
+
+
+def test_single_sample_and_equal_ones_do_not_scatter() -> None:
+    for factor, counts in ((1, noise(40)), (20, np.tile(np.full(400, 7), (6, 1)))):
+        for window in run(Windows(factor, mean_taps(factor)), batches(counts)):
+            assert window.scatter == (0.0,) * 6
+
+
+@pytest.mark.parametrize("method", ["mean", "lowpass"])
 @pytest.mark.parametrize("factor", [1, 19, 20])
 def test_stamp_is_the_centre_of_the_window(method: str, factor: int) -> None:
     for window in run(Windows(factor, taps_of(method, factor)), batches(noise(2000))):
