@@ -31,7 +31,7 @@ from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
-from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint

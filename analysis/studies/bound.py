@@ -49,8 +49,8 @@ from tramstream.errors import ConfigError
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import Records, numbers
 from tramstream.geodesy import normal_gravity_mps2
-from tramstream.processors.tram.alignment import ENOUGH_RAD
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_filter.alignment import ENOUGH_RAD
 from tramstream.processors.tram_model.records import READING
 from tramstream.processors.tram_model.states import MOTION, SIZE, Ix
 from tramstream.simulation.imu import inertial, instability_density

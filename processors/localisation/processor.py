@@ -36,7 +36,7 @@ from tramstream.processors.localisation.events import MAP_UNMATCHED, TRACK_UNHEA
 from tramstream.processors.localisation.models import localiser, traced
 from tramstream.processors.smoothing.smoother import smooth
 from tramstream.processors.smoothing.trace import Trace, Tracer
-from tramstream.processors.tram import events as tram_events
+from tramstream.processors.tram_filter import events as tram_events
 from tramstream.proto.estimate_pb2 import FilterParameters, MotionState, Parameter, TrackGeometry
 from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 

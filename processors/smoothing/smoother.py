@@ -46,7 +46,7 @@ from tramstream.processors.smoothing.trace import (
     Instant,
     Trace,
 )
-from tramstream.processors.tram.estimate import estimate_of
+from tramstream.processors.tram_filter.estimate import estimate_of
 from tramstream.processors.tram_model.motion import move
 from tramstream.processors.tram_model.records import MEMORY, PARAMETERS, SITUATION
 from tramstream.processors.tram_model.states import COLUMNS, ENTRY_COUNT, ROWS, SIZE

@@ -23,8 +23,8 @@ from tramstream.clock import S
 from tramstream.estimation.kalman import Array, compiled, sound
 from tramstream.estimation.records import Records, dtype_of, numbers
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.records import MEMORY, MOST_ROWS, READING, ROW_LENGTH, Reading
 from tramstream.processors.tram_model.states import ENTRY_COUNT, SIZE
 

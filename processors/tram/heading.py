@@ -21,9 +21,9 @@ from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
 from tramstream.memory.stage import assign, copied
-from tramstream.processors.tram.alignment import Alignment, AlignmentMemory
-from tramstream.processors.tram.events import REFUSALS
 from tramstream.processors.tram.navigation import Navigation, NavigationMemory
+from tramstream.processors.tram_filter.alignment import Alignment, AlignmentMemory
+from tramstream.processors.tram_filter.events import REFUSALS
 from tramstream.processors.tram_model.records import Z
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.events import FIXES_FROZEN, WHEEL_DEAD, WHEEL_LIVES
+from tramstream.processors.tram_filter.events import FIXES_FROZEN, WHEEL_DEAD, WHEEL_LIVES
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame

@@ -19,17 +19,17 @@ from tramstream.estimation.track import LocalTrack
 from tramstream.events import kinds
 from tramstream.geodesy import LocalLevel
 from tramstream.memory.stage import State, assign, from_plain, to_plain
-from tramstream.processors.tram import estimate as estimates
-from tramstream.processors.tram import events
-from tramstream.processors.tram.filter import GYRO_Z, SPEED
-from tramstream.processors.tram.gnss import doubts, speed_over_ground
 from tramstream.processors.tram.heading import Search
 from tramstream.processors.tram.liveness import Liveness
 from tramstream.processors.tram.localiser_memory import LocaliserMemory
-from tramstream.processors.tram.modes import TRANSITIONS, Event, Phase
 from tramstream.processors.tram.navigation import Navigation, Watcher
 from tramstream.processors.tram.outage import Parked, Silence
 from tramstream.processors.tram.predictor import Ahead
+from tramstream.processors.tram_filter import estimate as estimates
+from tramstream.processors.tram_filter import events
+from tramstream.processors.tram_filter.filter import GYRO_Z, SPEED
+from tramstream.processors.tram_filter.modes import TRANSITIONS, Event, Phase
+from tramstream.processors.tram_sources.gnss import doubts, speed_over_ground
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame

@@ -8,11 +8,11 @@ from tramstream.estimation.localiser import Estimate
 from tramstream.geodesy import LocalLevel
 from tramstream.processors.tram.heading import SearchMemory
 from tramstream.processors.tram.liveness import LivenessMemory
-from tramstream.processors.tram.modes import Phase
 from tramstream.processors.tram.navigation import NavigationMemory
 from tramstream.processors.tram.outage import Parked, SilenceMemory
 from tramstream.processors.tram.predictor import AheadMemory
 from tramstream.processors.tram.standstill import Standstill
+from tramstream.processors.tram_filter.modes import Phase
 from tramstream.proto.gnss_pb2 import GnssFix
 
 

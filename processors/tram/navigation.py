@@ -23,17 +23,11 @@ from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailM
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, copied
-from tramstream.processors.tram.course import Course, CourseMemory
-from tramstream.processors.tram.divergence import Divergence, DivergenceMemory, Heard
-from tramstream.processors.tram.estimate import learned
-from tramstream.processors.tram.events import ASTRAY
-from tramstream.processors.tram.filter import FilterMemory, TramFilter
-from tramstream.processors.tram.gnss import Fixes, FixesMemory
-from tramstream.processors.tram.modes import Phase, published_mode
-from tramstream.processors.tram.readings import Became, Readings, ReadingsMemory
-from tramstream.processors.tram.start import first_deviations
-from tramstream.processors.tram.wheel import PairMemory
-from tramstream.processors.tram.wheels import WheelPair
+from tramstream.processors.tram_filter.estimate import learned
+from tramstream.processors.tram_filter.events import ASTRAY
+from tramstream.processors.tram_filter.filter import FilterMemory, TramFilter
+from tramstream.processors.tram_filter.modes import Phase, published_mode
+from tramstream.processors.tram_filter.start import first_deviations
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
@@ -41,6 +35,12 @@ from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
 from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
+from tramstream.processors.tram_sources.course import Course, CourseMemory
+from tramstream.processors.tram_sources.divergence import Divergence, DivergenceMemory, Heard
+from tramstream.processors.tram_sources.gnss import Fixes, FixesMemory
+from tramstream.processors.tram_sources.readings import Became, Readings, ReadingsMemory
+from tramstream.processors.tram_sources.wheel import PairMemory
+from tramstream.processors.tram_sources.wheels import WheelPair
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
 

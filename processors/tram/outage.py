@@ -18,8 +18,8 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.events import NO_FIX, NO_IMU, NO_WHEELS, SLIPPING
 from tramstream.processors.tram.navigation import Navigation, NavigationMemory
+from tramstream.processors.tram_filter.events import NO_FIX, NO_IMU, NO_WHEELS, SLIPPING
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry

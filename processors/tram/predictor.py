@@ -13,7 +13,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import VALUES
 from tramstream.estimation.records import numbers, one
-from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model import axes, prediction_to_now
 from tramstream.processors.tram_model.prediction_to_now import KEPT
 from tramstream.processors.tram_model.records import INERTIAL, MEMORY, READING

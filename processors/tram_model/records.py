@@ -74,7 +74,7 @@ class Parameters(Protocol):
 
 
 class Situation(Protocol):
-    """What depends on how the vehicle goes; see `processors/tram/coasting.py`."""
+    """What depends on how the vehicle goes; see `processors/tram_sources/coasting.py`."""
 
     heading_known: int
     """0 while it is not: positions are then the antenna's, and yaw is 0."""

@@ -39,9 +39,9 @@ from tramstream.processors.smoothing.trace import (
     SCALAR_TAIL,
     Trace,
 )
-from tramstream.processors.tram.fix_noise import WHITE_SHARE
-from tramstream.processors.tram.start import GYRO_SCALE_STD
+from tramstream.processors.tram_filter.start import GYRO_SCALE_STD
 from tramstream.processors.tram_model.states import ENTRY_COUNT, SIZE, Ix
+from tramstream.processors.tram_sources.fix_noise import WHITE_SHARE
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Scenario

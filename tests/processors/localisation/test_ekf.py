@@ -31,14 +31,14 @@ from tramstream.live import snapshots
 from tramstream.processor import Sample
 from tramstream.processors.localisation.events import NO_NUMBER
 from tramstream.processors.localisation.processor import MARGIN, LocalisationFilter
-from tramstream.processors.tram.events import (
+from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram_filter.events import (
     ACCURACY_UNSTATED,
     IMPOSSIBLE_READING,
     IMPOSSIBLE_VELOCITY,
     NO_WHEELS,
     TIME_BACKWARDS,
 )
-from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame

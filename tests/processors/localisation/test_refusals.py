@@ -18,7 +18,7 @@ from tramstream.processor import Processor, Sample
 from tramstream.processors.distance import events as distance_events
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram import events
+from tramstream.processors.tram_filter import events
 from tramstream.proto.sync_pb2 import SyncFrame
 
 M_PER_DEG = math.radians(1.0) * 6_371_000.0

@@ -10,7 +10,12 @@ import pytest
 
 from tramstream.live import snapshots
 from tramstream.memory.stage import from_plain, to_plain
-from tramstream.processors.tram.alignment import ENOUGH_RAD, LEAST_WAY_M, Alignment, AlignmentMemory
+from tramstream.processors.tram_filter.alignment import (
+    ENOUGH_RAD,
+    LEAST_WAY_M,
+    Alignment,
+    AlignmentMemory,
+)
 
 SEEDS = range(20)
 TAU_S = 20.0

@@ -8,11 +8,11 @@ from rides import Errors, judged, laid, reference, ridden, time_s
 from test_liveness import AT_S, PROTECTION_SIGMA, first_s, gone, undisturbed, worst_sigma
 from test_tram_faults import DRIVER, PLAN, altered
 
-from tramstream.processors.tram import events
-from tramstream.processors.tram.divergence import Divergence, Offset, _prolonged
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_filter import events
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.divergence import Divergence, Offset, _prolonged
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Slip
 

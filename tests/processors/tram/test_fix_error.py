@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tramstream.clock import S
-from tramstream.processors.tram.fix_error import LEAST_SHARE, SLOW_SHARE, FixError
+from tramstream.processors.tram_sources.fix_error import LEAST_SHARE, SLOW_SHARE, FixError
 
 Array = NDArray[np.float64]
 TAU_S = 20.0

@@ -18,9 +18,9 @@ from test_tram_faults import DRIVER, PLAN, altered
 from tramstream.attitude import C_vl
 from tramstream.estimation.records import numbers, one
 from tramstream.events.kinds import Event
-from tramstream.processors.tram import events
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.standstill import FAST_S
+from tramstream.processors.tram_filter import events
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.records import INERTIAL
 from tramstream.proto.sync_pb2 import SyncFrame

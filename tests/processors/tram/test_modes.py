@@ -13,10 +13,11 @@ from test_tram_start import copies, plain
 from tramstream.config import Vehicle
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, STARTING, TRACKING
 from tramstream.live import snapshots
-from tramstream.processors.tram import alignment, heading
+from tramstream.processors.tram import heading
 from tramstream.processors.tram import localiser as localisers
 from tramstream.processors.tram.localiser import BACK_S, BLIND_S, SILENT_S, TramLocaliser
-from tramstream.processors.tram.modes import (
+from tramstream.processors.tram_filter import alignment
+from tramstream.processors.tram_filter.modes import (
     BRIDGED_S,
     DEAD_RECKONING_S,
     HELD_S,

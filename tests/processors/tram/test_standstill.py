@@ -13,9 +13,9 @@ from test_tram_start import LINE, copies, plain
 from tramstream.clock import S
 from tramstream.live import snapshots
 from tramstream.memory.stage import from_plain, to_plain
-from tramstream.processors.tram.events import WHEEL_DEAD
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.standstill import FAST_S, LOCKED_MPS, WHEELS_STILL_S, Standstill
+from tramstream.processors.tram_filter.events import WHEEL_DEAD
 from tramstream.proto.sync_pb2 import SyncFrame
 
 SEEDS = range(1, 4)

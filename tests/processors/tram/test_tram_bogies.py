@@ -17,8 +17,8 @@ from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import numbers, one
 from tramstream.estimation.track import OnTrack
-from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model import motion
 from tramstream.processors.tram_model.records import READING
 from tramstream.processors.tram_model.states import Ix

@@ -19,8 +19,8 @@ from tramstream.bridges.gnss.nmea import Epoch, fix_of
 from tramstream.clock import S
 from tramstream.estimation.fixes import deviations, velocity_l
 from tramstream.geodesy import C_nl, LocalLevel, convergence_rad
-from tramstream.processors.tram.events import RECEIVER_BOASTS
 from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram_filter.events import RECEIVER_BOASTS
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
 

@@ -12,8 +12,8 @@ from rides import Errors, Ride, altered, judged, laid, reference, ridden, time_s
 from test_fixes_alone import CAR, STREETS, rms
 from test_tram_start import copies
 
-from tramstream.processors.tram.events import DRAWN_STRAIGHT
 from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram_filter.events import DRAWN_STRAIGHT
 from tramstream.proto.sync_pb2 import SyncFrame
 
 SEEDS = range(1, 4)

@@ -13,7 +13,7 @@ from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
 from tramstream.estimation.localiser import HEADING_UNKNOWN, VALUES
 from tramstream.estimation.records import Records, numbers, one
-from tramstream.processors.tram.filter import TramFilter
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model import axes, level_force, motion, update
 from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity

@@ -19,7 +19,8 @@ from test_tram_start import PLACE_M, YAW_RAD, copies, plain
 from tramstream.clock import S
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, TRACKING
 from tramstream.events import Kind
-from tramstream.processors.tram.events import (
+from tramstream.processors.tram.localiser import BACK_S, BLIND_S, TramLocaliser
+from tramstream.processors.tram_filter.events import (
     HEADING_LOST,
     NO_FIX,
     NO_IMU,
@@ -27,7 +28,6 @@ from tramstream.processors.tram.events import (
     SET_BACK,
     TIME_BACKWARDS,
 )
-from tramstream.processors.tram.localiser import BACK_S, BLIND_S, TramLocaliser
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 

@@ -21,8 +21,8 @@ from tramstream.lines.line import built_in_line
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.smoothing.smoother import Smoothed, smooth
 from tramstream.processors.smoothing.trace import EVERY_NS, Trace, Tracer
-from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.gnss_position import GnssHeight, GnssPosition
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.lateral_force import LateralForce

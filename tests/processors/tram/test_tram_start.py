@@ -20,8 +20,8 @@ from test_tram_faults import PLAN, city
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate
 from tramstream.lines.line import Line, parse_plan
 from tramstream.live import snapshots
-from tramstream.processors.tram.events import FIRST_FIXES_WRONG
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
+from tramstream.processors.tram_filter.events import FIRST_FIXES_WRONG
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel

@@ -12,8 +12,8 @@ from tramstream.config import Ekf, Gnss, Imu, Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import numbers, one
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.records import INERTIAL, READING, READING_S
 from tramstream.processors.tram_model.states import SIZE, Ix

@@ -10,8 +10,8 @@ from rides import Errors, Ride, altered, judged, reference, ridden, run
 
 from tramstream.config import Vehicle, Wheels
 from tramstream.lines.line import built_in_line
-from tramstream.processors.tram.filter import TramFilter
 from tramstream.processors.tram.localiser import TramLocaliser
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
 from tramstream.simulation.scenario import Slide, Slip

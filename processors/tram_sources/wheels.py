@@ -17,13 +17,13 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.events import WHEEL_REFUSED, WHEEL_SPEED_REFUSED
-from tramstream.processors.tram.filter import SPEED, TramFilter
-from tramstream.processors.tram.wheel import CUSUM_LIMIT, CUSUM_SLACK, PairMemory, Wheel
+from tramstream.processors.tram_filter.events import WHEEL_REFUSED, WHEEL_SPEED_REFUSED
+from tramstream.processors.tram_filter.filter import SPEED, TramFilter
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
 from tramstream.processors.tram_model.wheel_speed import WheelSpeed
+from tramstream.processors.tram_sources.wheel import CUSUM_LIMIT, CUSUM_SLACK, PairMemory, Wheel
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
 

@@ -22,11 +22,11 @@ from typing import NamedTuple
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.events import FILTER_WRONG, IMU_CONTRADICTED
-from tramstream.processors.tram.filter import SPEED, TramFilter
-from tramstream.processors.tram.start import first_deviations
-from tramstream.processors.tram.wheels import WheelPair
+from tramstream.processors.tram_filter.events import FILTER_WRONG, IMU_CONTRADICTED
+from tramstream.processors.tram_filter.filter import SPEED, TramFilter
+from tramstream.processors.tram_filter.start import first_deviations
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.wheels import WheelPair
 
 YAW = int(Ix.YAW)
 REFUSED_S = 1.0

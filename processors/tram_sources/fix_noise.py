@@ -18,11 +18,11 @@ from tramstream.clock import S
 from tramstream.estimation.fixes import deviations
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.events import RECEIVER_BOASTS
-from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
+from tramstream.processors.tram_filter.events import RECEIVER_BOASTS
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path

@@ -17,11 +17,11 @@ from tramstream.clock import S
 from tramstream.estimation.fixes import FASTEST_MPS, antenna_l
 from tramstream.estimation.localiser import Verdict
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram.alignment import HARDEST_MPS2, NOISE_SIGMA, WHITE_SHARE
-from tramstream.processors.tram.coasting import SPEED_STD_MPS_RTS, YAW_STD_RAD_RTM
-from tramstream.processors.tram.filter import SPEED, TramFilter
-from tramstream.processors.tram.gnss import Fixes
+from tramstream.processors.tram_filter.alignment import HARDEST_MPS2, NOISE_SIGMA, WHITE_SHARE
+from tramstream.processors.tram_filter.filter import SPEED, TramFilter
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.coasting import SPEED_STD_MPS_RTS, YAW_STD_RAD_RTM
+from tramstream.processors.tram_sources.gnss import Fixes
 from tramstream.proto.gnss_pb2 import GnssFix
 
 YAW = int(Ix.YAW)

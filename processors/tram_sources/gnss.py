@@ -25,8 +25,7 @@ from tramstream.estimation.fixes import (
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel
-from tramstream.processors.tram.divergence import Heard, Offset
-from tramstream.processors.tram.events import (
+from tramstream.processors.tram_filter.events import (
     ACCURACY_UNSTATED,
     ERROR_TAKEN,
     FIRST_FIXES_WRONG,
@@ -38,8 +37,13 @@ from tramstream.processors.tram.events import (
     POSITION_TAKEN,
     VELOCITY_REFUSED,
 )
-from tramstream.processors.tram.filter import TramFilter
-from tramstream.processors.tram.fix_noise import (
+from tramstream.processors.tram_filter.filter import TramFilter
+from tramstream.processors.tram_model.gnss_position import DOUBT_STD_M, GnssHeight, GnssPosition
+from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
+from tramstream.processors.tram_model.measurement import PAIR_GATE
+from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.divergence import Heard, Offset
+from tramstream.processors.tram_sources.fix_noise import (
     HEAVY_SIGMA,
     WHITE_FLOOR_M,
     WHITE_SHARE,
@@ -48,10 +52,6 @@ from tramstream.processors.tram.fix_noise import (
     crowded,
     error_of_fixes,
 )
-from tramstream.processors.tram_model.gnss_position import DOUBT_STD_M, GnssHeight, GnssPosition
-from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
-from tramstream.processors.tram_model.measurement import PAIR_GATE
-from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path

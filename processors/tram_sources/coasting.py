@@ -19,8 +19,8 @@ import numpy as np
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import Records
-from tramstream.processors.tram.filter import SPEED, TramFilter
-from tramstream.processors.tram.modes import BRIDGED_S, Drive
+from tramstream.processors.tram_filter.filter import SPEED, TramFilter
+from tramstream.processors.tram_filter.modes import BRIDGED_S, Drive
 from tramstream.processors.tram_model.records import X, Y, Z, situation
 from tramstream.processors.tram_model.states import Ix
 

@@ -20,15 +20,14 @@ from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import numbers, one
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.coasting import MotionNoise, NoiseMemory
-from tramstream.processors.tram.events import (
+from tramstream.processors.tram_filter.events import (
     DRAWN_STRAIGHT,
     IMPOSSIBLE_READING,
     IMU_LIVES,
     IMU_STUCK,
 )
-from tramstream.processors.tram.filter import GYRO_Z, TramFilter
-from tramstream.processors.tram.modes import (
+from tramstream.processors.tram_filter.filter import GYRO_Z, TramFilter
+from tramstream.processors.tram_filter.modes import (
     HELD_S,
     Drive,
     drive_by_reading,
@@ -37,6 +36,7 @@ from tramstream.processors.tram.modes import (
 from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.records import INERTIAL, READING_S, X, Z
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.coasting import MotionNoise, NoiseMemory
 from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 

@@ -21,7 +21,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Estimate, Verdict
 from tramstream.estimation.records import Records, frozen, numbers, one
-from tramstream.processors.tram.estimate import estimate_of
+from tramstream.processors.tram_filter.estimate import estimate_of
 from tramstream.processors.tram_model import motion, prediction_to_now, wheel_path
 from tramstream.processors.tram_model.measurement import (
     EVERY,

@@ -1,0 +1,1 @@
+"""What each source tells the filter `tram`: fixes, wheels, inertial readings; and who errs."""
