@@ -230,8 +230,9 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
-        off_m = verdicts[0].innovation, verdicts[1].innovation
-        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, off_m, velocity, accepted)
+        innovation_m = verdicts[0].innovation, verdicts[1].innovation
+        std_m = self.noise.std_m
+        self.heard = Heard(fix.stamp_ns, std_m, refused, innovation_m, velocity, accepted)
         return verdicts, found
 
     def _refuse(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
-ROOMS = ("tram", "tram_model", "smoothing", "kaspar2023")
+ROOMS = ("tram", "tram_filter", "tram_sources", "tram_model", "smoothing", "kaspar2023")
 MODULES = sorted(each for room in ROOMS for each in (REPOSITORY / "processors" / room).glob("*.py"))
 TABLE = (REPOSITORY / "docs" / "theory.md").read_text().partition("## 17 Tuned constants")[2]
 SOURCE = re.compile(r"by hand|study|test_|tests/|data sheet|theory\.md")
@@ -66,5 +66,5 @@ def test_every_tuned_constant_says_who_set_it(path: Path) -> None:
 
 
 def test_what_counts_as_a_constant() -> None:
-    found = dict(constants(REPOSITORY / "processors" / "tram" / "wheels.py"))
+    found = dict(constants(REPOSITORY / "processors" / "tram_sources" / "wheels.py"))
     assert {"QUANTISATION", "READMIT_S", "MAX_MPS"} <= found.keys()

@@ -189,7 +189,8 @@ class Shaking:
         for tones, phases in zip(self._tones_hz, self._tone_phases, strict=True):
             total += np.sin(math.tau * np.outer(time_s, tones) + phases)
         slow = np.exp(-((motion.speed_mps / IDLE_MPS) ** 2))
-        return total * strength * slow[:, None]
+        idled: Array = total * strength * slow[:, None]
+        return idled
 
 
 def knock(tau: Array) -> Array:
