@@ -31,7 +31,9 @@ def evaluate(
 ) -> None:
     """Judge an estimate by the truth: errors, NEES, NIS, protection levels, GNSS outages.
 
-    Raw GNSS of the same ride, and est/ekf/smoothed where it is there, stand beside.
+    Raw GNSS of the same ride, and est/ekf/smoothed where it is there, stand beside. Ends with
+    status 1 where the ride contradicts what the estimate claims of its own errors: a filter that is
+    right ends so in less than 3 % of rides.
     """
     import json
 
@@ -40,7 +42,7 @@ def evaluate(
     from tramstream.analysis.evaluate.evaluation import evaluated
     from tramstream.analysis.evaluate.source import gather
     from tramstream.cli.terminal.session import say
-    from tramstream.errors import DamagedRecordError
+    from tramstream.errors import CheckFailedError, DamagedRecordError
     from tramstream.shown import shown
 
     with Console(stderr=True).status(shown(str(file))):
@@ -54,7 +56,12 @@ def evaluate(
 
         title = f"{file}: {judged.key} against {judged.truth}"
         print_judgements(judged.of, judged.gnss, judged.terms, title)
+    against = judged.main.contradictions
+    for each in against[1:] if not (found.damaged or found.left_out) else against:
+        say(f"{file}: {each}; {each.cure}")
     if found.damaged:
         raise DamagedRecordError(f"{found.damaged}; what could be proved right was judged")
     if found.left_out:
         raise DamagedRecordError(found.left_out)
+    if against:
+        raise CheckFailedError(f"{file}: {against[0]}", against[0].cure)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from tramstream.analysis.evaluate.contradiction import Contradiction
     from tramstream.recorder.reprocess.compare import Comparison
     from tramstream.recorder.reprocess.run import Rerun
 
@@ -36,16 +37,27 @@ def reprocess(
             "of memory an hour.",
         ),
     ] = False,
+    judge: Annotated[
+        bool,
+        typer.Option(
+            "--judge",
+            help="Judge what the filter claims by its innovations (NIS), and by the truth where "
+            "there is one (NEES, protection levels); status 1 where they contradict it.",
+        ),
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Run the processors over a record; --check holds them to what they did live."""
+    """Run the processors over a record; --check holds them to what they did live.
+
+    --judge holds them to what they claim.
+    """
     import json
     import time
 
     from tramstream.boundary import left_out
     from tramstream.cli.terminal.session import make_room, say
-    from tramstream.errors import ConfigError
+    from tramstream.errors import CheckFailedError, ConfigError
     from tramstream.recorder.reprocess.run import rerun
 
     if late not in ("as-recorded", "accept"):
@@ -57,6 +69,12 @@ def reprocess(
     result = rerun(file, out, config, check, fresh or late == "accept", smooth)
     figures = {"file": str(file), "out": str(out)}
     figures |= _figures(result, time.perf_counter() - started_s)
+    against: list[Contradiction] = []
+    if judge:
+        from tramstream.analysis.evaluate.record import contradictions_in
+
+        against = contradictions_in(out)
+        figures |= {"contradicted": bool(against), "contradictions": [str(one) for one in against]}
     if json_:
         print(json.dumps(figures))
     else:
@@ -83,8 +101,12 @@ def reprocess(
         say(f"{file}: {left_out_}, as live")
     for path, count in result.missing.items():
         say(f"{path}: {count} messages that the live processors read are not in the record")
+    for one in against:
+        say(f"{out}: {one}; {one.cure}")
     if result.comparison is not None:
-        _judge(file, result, result.comparison, not json_)
+        _compare(file, result, result.comparison, not json_)
+    if against:
+        raise CheckFailedError(f"{out}: contradicts what its filter claims ({against[0].figure})")
 
 
 def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
@@ -113,7 +135,7 @@ def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
     return figures
 
 
-def _judge(file: Path, result: Rerun, comparison: Comparison, aloud: bool) -> None:
+def _compare(file: Path, result: Rerun, comparison: Comparison, aloud: bool) -> None:
     """Say how outputs made again compare with those recorded live.
 
     Raises

@@ -16,6 +16,16 @@ variance from ν = (n/τ)/4 degrees of freedom. So the quantiles are taken where
 degrees of freedom has the tail asked for, and short rides get the wide bounds that they deserve.
 Where there are several rides of a kind, τ is that of all of them together, about the mean of all.
 
+No bound is wider than that of one sample worth. However samples hang together, their mean is
+smaller in convex order than a single χ², so it exceeds the expected shortfall of that χ² no more
+often than the shortfall's own tail; the same from below. An error that lasts the whole ride is
+judged by that. A series that has hardly changed (its variance is well below the 2/d of its squared
+mean that χ² of any scale has) is one sample, whatever its ripple says of τ. For τ the samples
+beyond the limit of one in a thousand count as lying on it: a filter that is right has none to speak
+of, in one that is wrong they would make its interval as wide as its error (NEES 16.7 within
+[0, 74]). Where the interval still reaches twice what is right, a mean inside says nothing: the ride
+is too short to tell.
+
 Equations: docs/theory.md, sections 13 and 14.
 
 References
@@ -30,10 +40,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammainccinv, gammaincinv, ndtr, stdtrit
+from scipy.special import gammainc, gammaincc, gammainccinv, gammaincinv, ndtr, stdtrit
 
 from tramstream.analysis.evaluate.errors import Errors
 from tramstream.estimation.series import Array, Flags, Innovations, Slot
@@ -42,6 +53,14 @@ CONFIDENCE = 0.95
 WINDOW = 2.5
 """Of the autocorrelation, in times of τ: Sokal's constant 5, since his τ is half of this one. What
 an exponential has left there is e⁻⁵; more lags would only add noise."""
+CAP = 0.999
+"""Quantile of χ² at which samples are capped before τ is estimated of them; see above."""
+EXPLORED = 0.5
+"""Of the variance that χ² has for its mean: with less, a series has not been through its values."""
+TELLING = 2.0
+"""Times what is right: bounds that reach so far tell nothing of a mean inside."""
+TINY_M = 1e-9
+"""A protection level of nothing is taken for this, to divide by."""
 
 NEES_SLOTS: dict[str, tuple[Slot, ...]] = {
     "position": (Slot.EAST, Slot.NORTH),
@@ -62,6 +81,28 @@ class Interval(NamedTuple):
         return isinstance(value, float) and self.low <= value <= self.high
 
 
+class Verdict(StrEnum):
+    """What a mean says of the deviations that a filter claims."""
+
+    CONSISTENT = "consistent"
+    CONFIDENT = "too confident"
+    CAUTIOUS = "too cautious"
+    SHORT = "too short to tell"
+
+
+def verdict_of(mean: float, ideal: float, bounds: Interval) -> Verdict:
+    """Judge a mean whose value is `ideal` and which lies within `bounds` if the filter is right."""
+    if mean > bounds.high:
+        return Verdict.CONFIDENT
+    if mean < bounds.low:
+        return Verdict.CAUTIOUS
+    return Verdict.SHORT if bounds.high >= TELLING * ideal else Verdict.CONSISTENT
+
+
+def _consistent(verdict: Verdict) -> bool | None:
+    return None if verdict is Verdict.SHORT else verdict is Verdict.CONSISTENT
+
+
 @dataclass(frozen=True)
 class Nees:
     """Normalised estimation error squared over a ride."""
@@ -79,8 +120,13 @@ class Nees:
     """Of single samples within the two-sided interval of χ²."""
 
     @property
-    def consistent(self) -> bool:
-        return self.mean in self.bounds
+    def verdict(self) -> Verdict:
+        return verdict_of(self.mean, float(self.dimensions), self.bounds)
+
+    @property
+    def consistent(self) -> bool | None:
+        """None where the ride is too short to tell."""
+        return _consistent(self.verdict)
 
 
 @dataclass(frozen=True)
@@ -93,13 +139,21 @@ class Nis:
     """Of the accepted ones."""
     mean_all: float
     bounds: Interval
-    """Of `mean`, if innovations are white."""
+    """Of `mean`, if S is right."""
+    effective: float
+    """Number of independent innovations that the accepted ones are worth."""
     lag1: float
     """Correlation of an accepted y/√S with the next one; 0 if white. NaN for less than three."""
 
     @property
-    def consistent(self) -> bool:
-        return self.mean in self.bounds
+    def verdict(self) -> Verdict | None:
+        """None where nothing was accepted."""
+        return verdict_of(self.mean, 1.0, self.bounds) if self.accepted_share else None
+
+    @property
+    def consistent(self) -> bool | None:
+        """None where nothing was accepted, or too little to tell."""
+        return None if self.verdict is None else _consistent(self.verdict)
 
 
 @dataclass(frozen=True)
@@ -111,6 +165,21 @@ class Protection:
     mean_m: tuple[float, float]
     exceeded_any_share: float
     """Along or across."""
+    stretches: int
+    """Independent stretches of time beyond: those closer than the autocorrelation time are one, and
+    there are no more than independent samples of the NEES of the place."""
+
+    def chance(self, risk: float) -> float:
+        """How often a filter whose levels are exceeded for `risk` of the time would look so bad.
+
+        Stretches beyond come as a Poisson process, each as long as they are here in the mean. One
+        stretch alone has the chance that Markov's inequality gives for any correlation, risk over
+        share.
+        """
+        if not self.stretches or risk >= self.exceeded_any_share:
+            return 1.0
+        expected = risk * self.stretches / self.exceeded_any_share
+        return float(gammainc(self.stretches, expected))
 
 
 def chi_square_interval(degrees: float, tail: float = (1.0 - CONFIDENCE) / 2.0) -> Interval:
@@ -184,7 +253,7 @@ def nees(errors: Errors, slots: Sequence[Slot]) -> Nees | None:
     known = series[np.isfinite(series)]
     if not len(known):
         return None
-    tau = autocorrelation_time(known)
+    effective = effective_samples(known, len(slots))
     single = chi_square_interval(len(slots))
     inside = (known >= single.low) & (known <= single.high)
     return Nees(
@@ -192,28 +261,53 @@ def nees(errors: Errors, slots: Sequence[Slot]) -> Nees | None:
         count=len(known),
         undefined=len(series) - len(known),
         mean=float(known.mean()),
-        bounds=mean_bounds(len(slots), len(known) / tau),
-        effective=len(known) / tau,
+        bounds=mean_bounds(len(slots), effective),
+        effective=effective,
         inside_share=float(inside.mean()),
     )
 
 
-def mean_bounds(dimensions: int, effective: float, series: int = 1) -> Interval:
+def effective_samples(squares: Array, dimensions: int) -> float:
+    """Number of independent samples that a series of χ² of so many dimensions is worth."""
+    cap = 2.0 * float(gammaincinv(dimensions / 2.0, CAP))
+    effective = len(squares) / autocorrelation_time(np.minimum(squares, cap))
+    mean = float(squares.mean())
+    seen = float(squares.var()) * dimensions / (2.0 * mean * mean) if mean > 0.0 else 0.0
+    return 1.0 + (effective - 1.0) * min(seen / EXPLORED, 1.0)
+
+
+def mean_bounds(
+    dimensions: int, effective: float, series: int = 1, confidence: float = CONFIDENCE
+) -> Interval:
     """Interval of the mean of χ² samples worth `effective` independent ones.
 
     That is an estimate itself, made from so many series of such a length.
     """
-    student = stdtrit(max(series * effective / 4.0, 1.0), (1.0 - CONFIDENCE) / 2.0)
+    tail = (1.0 - confidence) / 2.0
+    student = stdtrit(max(series * effective / 4.0, 1.0), tail)
     low, high = chi_square_interval(dimensions * effective, float(ndtr(student)))
-    return Interval(low / effective, high / effective)
+    least, most = shortfalls(dimensions, tail)
+    return Interval(max(low / effective, least), min(high / effective, most))
+
+
+def shortfalls(dimensions: float, tail: float) -> Interval:
+    """Means of χ² below its quantile of `tail`, and above that of 1 − `tail`.
+
+    The mean of samples that hang together in any way lies beyond with a probability of at most
+    `tail` on each side: E[X; X > q] = d P(χ²(d+2) > q).
+    """
+    low, high = chi_square_interval(dimensions, tail)
+    above = float(gammaincc(dimensions / 2.0 + 1.0, high / 2.0))
+    below = float(gammainc(dimensions / 2.0 + 1.0, low / 2.0))
+    return Interval(dimensions * below / tail, dimensions * above / tail)
 
 
 def nis(innovations: Innovations) -> dict[str, Nis]:
     """Judge each measurement by name.
 
-    Each innovation is one scalar of a sequential update, so y²/S has one degree of freedom, and the
-    bounds are those of the mean of as many independent ones. What a gate refused is in `mean_all`
-    alone.
+    Each innovation is one scalar of a sequential update, so y²/S has one degree of freedom. The
+    bounds know of their autocorrelation as those of the NEES do. What a gate refused is in
+    `mean_all` alone.
     """
     found: dict[str, Nis] = {}
     usable = (innovations.variance > 0.0) & np.isfinite(innovations.value)
@@ -229,17 +323,17 @@ def _nis(normal: Array, accepted: Flags) -> Nis:
     """Of normalised innovations y/√S."""
     kept = normal[accepted]
     squares = kept**2
-    low, high = chi_square_interval(len(kept)) if len(kept) else (np.nan, np.nan)
+    effective = effective_samples(squares, 1) if len(kept) else 0.0
     lag1 = np.nan
     if len(kept) >= 3 and squares.any():
         lag1 = float((kept[1:] * kept[:-1]).mean() / squares.mean())
-    count = max(len(kept), 1)
     return Nis(
         count=len(normal),
         accepted_share=float(accepted.mean()),
         mean=float(squares.mean()) if len(kept) else np.nan,
         mean_all=float(np.mean(normal**2)),
-        bounds=Interval(low / count, high / count),
+        bounds=mean_bounds(1, effective) if len(kept) else Interval(np.nan, np.nan),
+        effective=effective,
         lag1=lag1,
     )
 
@@ -252,12 +346,23 @@ def protection(errors: Errors) -> Protection | None:
         return None
     level = errors.protection_m[known]
     exceeded = error[known] > level
+    any_exceeded = exceeded.any(axis=1)
+    used = np.minimum((error[known] / np.maximum(level, TINY_M)).max(axis=1), 1.0)
+    apart = stretches(any_exceeded, autocorrelation_time(used))
+    place = nees(errors.take(known), NEES_SLOTS["position"])
     return Protection(
         count=int(known.sum()),
         exceeded_share=_pair(exceeded.mean(axis=0)),
         mean_m=_pair(level.mean(axis=0)),
-        exceeded_any_share=float(exceeded.any(axis=1).mean()),
+        exceeded_any_share=float(any_exceeded.mean()),
+        stretches=min(apart, max(int(place.effective), 1)) if place is not None else min(apart, 1),
     )
+
+
+def stretches(beyond: Flags, apart: float) -> int:
+    """Count stretches of time beyond that lie more than `apart` samples from each other."""
+    at = np.flatnonzero(beyond)
+    return int(np.count_nonzero(np.diff(at) > apart)) + 1 if len(at) else 0
 
 
 def _pair(values: Array) -> tuple[float, float]:

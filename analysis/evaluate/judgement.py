@@ -10,6 +10,7 @@ from typing import Any
 from tramstream.analysis.evaluate import consistency, outages
 from tramstream.analysis.evaluate import errors as evaluation
 from tramstream.analysis.evaluate.consistency import NEES_SLOTS, Nees, Nis, Protection
+from tramstream.analysis.evaluate.contradiction import Contradiction, contradictions
 from tramstream.analysis.evaluate.errors import Errors, Statistics
 from tramstream.analysis.evaluate.outages import Outage, OutageGroup, Start
 from tramstream.clock import S
@@ -47,13 +48,19 @@ class Judgement:
     nees: dict[str, Nees]
     nis: dict[str, Nis]
     protection: Protection | None
+    contradictions: list[Contradiction]
+    """What a filter that is right would not show, the gravest first."""
     start: Start | None
     outages: list[Outage]
     groups: list[OutageGroup]
 
     @property
     def main(self) -> Nees | None:
-        return self.nees.get(MAIN, self.nees.get("position"))
+        return self.nees.get(main_of(self.nees))
+
+
+def main_of(nees: dict[str, Nees]) -> str:
+    return MAIN if MAIN in nees else "position"
 
 
 def terms_of(vehicle: Vehicle | None, origin_ns: int, skip_s: float, outage_s: float) -> Terms:
@@ -75,16 +82,22 @@ def judge(
     skipped = int((~kept).sum())
     if skipped:
         errors = errors.take(kept)
-    judged = {name: consistency.nees(errors, slots) for name, slots in NEES_SLOTS.items()}
+    nees = {
+        name: each
+        for name, slots in NEES_SLOTS.items()
+        if (each := consistency.nees(errors, slots)) is not None
+    }
+    nis, protection = consistency.nis(states.innovations), consistency.protection(errors)
     gaps = outages.outages(errors, fixes, truth, terms.outage_s) if fixes is not None else []
     return Judgement(
         states=len(states),
         errors=errors,
         skipped=skipped,
         summary=evaluation.summary(errors, terms.origin_ns),
-        nees={name: each for name, each in judged.items() if each is not None},
-        nis=consistency.nis(states.innovations),
-        protection=consistency.protection(errors),
+        nees=nees,
+        nis=nis,
+        protection=protection,
+        contradictions=contradictions(nees, main_of(nees), nis, protection, terms.integrity_risk),
         start=outages.start(states, fixes) if fixes is not None else None,
         outages=gaps,
         groups=outages.grouped(gaps),
@@ -107,6 +120,9 @@ def flat(judgement: Judgement, terms: Terms) -> dict[str, Any]:
         "tracking_after_s": start.to_tracking_s if start else None,
         **flat_summary(judgement.summary),
         "consistent": judgement.main.consistent if judgement.main else None,
+        "verdict": judgement.main.verdict if judgement.main else None,
+        "contradicted": bool(judgement.contradictions),
+        "contradiction": str(judgement.contradictions[0]) if judgement.contradictions else None,
     }
     for name in NEES_SLOTS:
         figures |= _flat_nees(f"nees_{name}", judgement.nees.get(name))
@@ -156,18 +172,22 @@ def _flat_nis(name: str, each: Nis) -> dict[str, Any]:
         f"{name}_mean_all": each.mean_all,
         f"{name}_low": each.bounds.low,
         f"{name}_high": each.bounds.high,
+        f"{name}_effective_samples": each.effective,
         f"{name}_lag1": each.lag1,
-        f"{name}_consistent": each.consistent if each.accepted_share else None,
+        f"{name}_consistent": each.consistent,
     }
 
 
 def _flat_protection(each: Protection | None, terms: Terms) -> dict[str, Any]:
+    risk = terms.integrity_risk
     return {
-        "integrity_risk": terms.integrity_risk,
+        "integrity_risk": risk,
         "protection_count": each.count if each else 0,
         "protection_along_exceeded_share": each.exceeded_share[0] if each else None,
         "protection_across_exceeded_share": each.exceeded_share[1] if each else None,
         "protection_exceeded_share": each.exceeded_any_share if each else None,
+        "protection_stretches": each.stretches if each else None,
+        "protection_chance": each.chance(risk) if each and risk is not None else None,
         "protection_along_mean_m": each.mean_m[0] if each else None,
         "protection_across_mean_m": each.mean_m[1] if each else None,
     }

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from tramstream.analysis.evaluate.consistency import Interval
 from tramstream.analysis.evaluate.judgement import Judgement, Summary, Terms, group_name
 from tramstream.analysis.evaluate.outages import distance_m
 from tramstream.shown import shown
@@ -107,12 +106,6 @@ def _figure(value: float) -> str:
     return f"{value:.3f}" if size < 10 else f"{value:.2f}" if size < 100 else f"{value:.1f}"
 
 
-def _verdict(mean: float, bounds: Interval) -> str:
-    if mean in bounds:
-        return "consistent"
-    return "too confident" if mean > bounds.high else "too cautious"
-
-
 def _nees(judgement: Judgement, name: str) -> Table:
     table = _table(
         f"NEES of {name}", "mean", "ideal", "95 % of means", "worth", "inside 95 %", "verdict"
@@ -125,7 +118,7 @@ def _nees(judgement: Judgement, name: str) -> Table:
             f"{each.bounds.low:.2f} … {each.bounds.high:.2f}",
             f"{each.effective:.0f}",
             f"{100 * each.inside_share:.1f} %",
-            _verdict(each.mean, each.bounds),
+            each.verdict,
         )
     return table
 
@@ -142,7 +135,7 @@ def _nis(judgement: Judgement, name: str) -> Table:
             f"{each.mean:.2f}",
             f"{each.bounds.low:.2f} … {each.bounds.high:.2f}",
             f"{each.lag1:.2f}" if math.isfinite(each.lag1) else "",
-            _verdict(each.mean, each.bounds) if each.accepted_share else "",
+            each.verdict or "",
         )
     return table
 
@@ -154,7 +147,13 @@ def _protection(judgement: Judgement, terms: Terms, name: str) -> list[str]:
     risk = "" if terms.integrity_risk is None else f" (claimed risk {terms.integrity_risk:.3g})"
     levels = zip(("along", "across"), protection.exceeded_share, protection.mean_m, strict=True)
     parts = [f"{side} {mean:.2f} m, exceeded {share:.3g}" for side, share, mean in levels]
-    return [f"protection level of {name}, mean and share of time: {'; '.join(parts)}{risk}"]
+    lines = [f"protection level of {name}, mean and share of time: {'; '.join(parts)}{risk}"]
+    if terms.integrity_risk is not None and protection.stretches:
+        lines.append(
+            f"beyond it in {protection.stretches} stretches, chance of that if it were right: "
+            f"{protection.chance(terms.integrity_risk):.2g}"
+        )
+    return lines
 
 
 def _outages(judgement: Judgement, name: str) -> Table:

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from tramstream.analysis.evaluate import consistency
 from tramstream.analysis.evaluate.consistency import (
     NEES_SLOTS,
+    Verdict,
     autocorrelation_time,
     chi_square_interval,
     mean_bounds,
@@ -19,6 +20,7 @@ from tramstream.analysis.evaluate.consistency import (
     nis,
     protection,
     quadratic_form,
+    shortfalls,
 )
 from tramstream.analysis.evaluate.errors import errors
 from tramstream.estimation.series import Innovations, Slot
@@ -200,8 +202,31 @@ def test_truth_without_yaw_leaves_yaw_and_joint_unjudged():
 def test_one_state_is_worth_one_sample():
     found = errors(states(np.array([5.0]), [1.0, 0.0, 0.0]), truth(np.array([5.0])))
     judged = nees(found, NEES_SLOTS["position"])
-    assert (judged.count, judged.effective, judged.consistent) == (1, 1.0, True)
+    assert (judged.count, judged.effective, judged.consistent) == (1, 1.0, None)
+    assert judged.verdict is Verdict.SHORT
     assert judged.mean == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("d", [1, 2, 4])
+def test_no_bound_is_wider_than_that_of_any_correlation(d):
+    """E[X; X > q] by hand: for d = 2, χ² is exponential of mean 2, so it is (q + 2) P(X > q)."""
+    low, high = mean_bounds(d, 1.0)
+    np.testing.assert_allclose((low, high), shortfalls(d, 0.025), rtol=1e-9)
+    values = chi2.rvs(d, size=400_000, random_state=np.random.default_rng(d))
+    tail = np.sort(values)[-10_000:]
+    assert high == pytest.approx(tail.mean(), rel=0.02)
+    assert shortfalls(2, 0.025).high == pytest.approx(chi2.ppf(0.975, 2) + 2.0)
+
+
+def test_excursion_does_not_widen_the_interval_that_judges_it():
+    """A right filter that is 8 σ off for a tenth of the ride: before, [0, 74] held that mean."""
+    rng = np.random.default_rng(9)
+    error = autoregressive(rng, len(STATE_S), 0.9, 4)
+    error[:200] += 8.0
+    judged = nees(made_up(rng, error * 0.1, np.eye(4) * 0.01), NEES_SLOTS["joint"])
+    assert judged.mean > 20.0
+    assert judged.verdict is Verdict.CONFIDENT
+    assert judged.bounds.high < 14.0
 
 
 # NIS ----------------------------------------------------------------------------------------------
@@ -236,6 +261,14 @@ def test_innovations_that_are_correlated_show_it():
     assert found.lag1 == pytest.approx(0.7, abs=0.03)
 
 
+def test_bounds_of_correlated_innovations_hold_their_mean():
+    held = 0
+    for seed in range(200):
+        value = autoregressive(np.random.default_rng(seed), 4000, 0.95, 1)[:, 0]
+        held += nis(innovations([0] * 4000, value, np.ones(4000)))["gnss_east"].consistent is True
+    assert 0.91 <= held / 200 <= 0.98
+
+
 def test_what_the_gate_refused_counts_apart():
     found = nis(innovations([0] * 4, [1.0, 10.0, -1.0, 1.0], [1.0] * 4, [True, False, True, True]))[
         "gnss_east"
@@ -248,7 +281,8 @@ def test_what_the_gate_refused_counts_apart():
 def test_innovations_all_refused_or_without_variance_are_survived():
     found = nis(innovations([0, 1, 1], [9.0, 1.0, 1.0], [1.0, 0.0, 1.0], [False, True, True]))
     assert np.isnan(found["gnss_east"].mean)
-    assert not found["gnss_east"].consistent
+    assert found["gnss_east"].verdict is None
+    assert found["gnss_east"].consistent is None
     assert found["wheel_left"].count == 1
     assert nis(innovations([], [], [])) == {}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from looking import START_NS, VEHICLE, tramstream
 from tramstream import config_file, keys
 from tramstream.cli.evaluate import evaluate
 from tramstream.clock import S
-from tramstream.errors import ConfigError, DamagedRecordError, RecordError
+from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError, RecordError
 from tramstream.geodesy import LocalLevel
 from tramstream.keys import Key
 from tramstream.proto.estimate_pb2 import DistanceState, MotionState
@@ -118,15 +119,20 @@ def write(path: Path, *parts: list[tuple[Key, float, Any]], **metadata: str) -> 
     return path
 
 
-def judged(capsys: pytest.CaptureFixture[str], path: Path, **options: Any) -> dict[str, Any]:
+def judged(
+    capsys: pytest.CaptureFixture[str], path: Path, contradicted: bool = False, **options: Any
+) -> dict[str, Any]:
     """The one JSON object."""
-    evaluate(path, json_=True, **options)
+    with pytest.raises(CheckFailedError) if contradicted else nullcontext():
+        evaluate(path, json_=True, **options)
     (line,) = capsys.readouterr().out.splitlines()
     figures = json.loads(line)
     assert all(not isinstance(value, dict | list) for value in figures.values())
+    assert figures["contradicted"] == contradicted
     return figures
 
 
+NORMAL = np.random.default_rng(3).standard_normal(120)
 OFF = Off(along_m=0.5, across_m=-0.25, up_m=1.0, speed_mps=0.1, yaw_rad=math.radians(0.5))
 
 
@@ -210,7 +216,8 @@ def test_protection_level_is_compared(capsys, tmp_path):
 def test_skipped_seconds_are_left_out(capsys, tmp_path):
     begin = [(k, t, state_at(t, Off(along_m=9.0 if t < 5 else 0.0))) for k, t, _ in states()]
     path = write(tmp_path / "a.mcap", truth(), begin)
-    assert judged(capsys, path)["along_max_m"] == pytest.approx(9.0, abs=MM)
+    whole = judged(capsys, path, contradicted=True)
+    assert whole["along_max_m"] == pytest.approx(9.0, abs=MM)
     figures = judged(capsys, path, skip_s=5.0)
     assert figures["along_max_m"] < MM
     assert figures["skipped"] == 100
@@ -228,13 +235,16 @@ def test_innovations_of_some_messages_are_judged_by_name(capsys, tmp_path):
     ride = states()
     for number, (_, _, message) in enumerate(ride[::10]):
         message.innovations.add(
-            measurement="gnss east", value=(-1) ** number * 2.0, variance=4.0, accepted=number > 11
+            measurement="gnss east",
+            value=2.0 * NORMAL[number],
+            variance=4.0,
+            accepted=number > 11,
         )
     figures = judged(capsys, write(tmp_path / "a.mcap", truth(), ride))
     assert figures["nis_gnss_east_count"] == 120
     assert figures["nis_gnss_east_accepted_share"] == 0.9
-    assert figures["nis_gnss_east_mean"] == 1.0
-    assert figures["nis_gnss_east_lag1"] == pytest.approx(-1.0)
+    assert figures["nis_gnss_east_mean"] == pytest.approx(np.mean(NORMAL[12:] ** 2))
+    assert abs(figures["nis_gnss_east_lag1"]) < 0.3
     assert figures["nis_gnss_east_consistent"]
 
 
@@ -295,7 +305,8 @@ def test_truth_of_the_vehicle_is_not_taken_from_the_estimates_record(capsys, tmp
     source = write(tmp_path / "source.mcap", truth())
     wrong = [(k, t, truth_at(t + 1.0)) for k, t, _ in truth()]
     out = write(tmp_path / "out.mcap", wrong, states())
-    assert judged(capsys, out)["along_rms_m"] == pytest.approx(10.0, abs=MM)
+    by_its_own = judged(capsys, out, contradicted=True)
+    assert by_its_own["along_rms_m"] == pytest.approx(10.0, abs=MM)
     assert judged(capsys, out, truth=str(source))["along_rms_m"] < MM
 
 
@@ -355,6 +366,11 @@ def test_damaged_record_is_judged_and_told(capsys, tmp_path):
 def test_program_ends_with_the_status_of_the_error(tmp_path):
     done = tramstream("evaluate", write(tmp_path / "a.mcap", truth(), states()), "--json")
     assert (done.returncode, len(done.stdout.splitlines())) == (0, 1)
+    contradicted = tramstream("evaluate", write(tmp_path / "c.mcap", truth(), states(Off(9.0))))
+    assert contradicted.returncode == 1
+    (sentence,) = contradicted.stderr.splitlines()
+    assert "NEES (joint) is 324, limit 15" in sentence
+    assert "$.gnss.error_tau_s" in sentence
     refused = tramstream("evaluate", write(tmp_path / "b.mcap", states()))
     assert refused.returncode == 2
     assert len(refused.stderr.splitlines()) == 1

@@ -9,13 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from typer.testing import CliRunner, Result
 
 from tramstream import keys
+from tramstream.analysis.evaluate import record as judging
+from tramstream.analysis.evaluate.contradiction import Contradiction
+from tramstream.analysis.evaluate.record import contradictions_in
 from tramstream.cli.main import make_app
 from tramstream.clock import S
-from tramstream.errors import ConfigError
+from tramstream.errors import CheckFailedError, ConfigError
 from tramstream.recorder.reader import open_record
+from tramstream.recorder.reprocess.run import rerun, vehicle_of
 
 DURATION_S = 60
 AFTER = 10
@@ -88,6 +93,37 @@ def test_evaluation_judges_filter_and_smoother_side_by_side(
 ) -> None:
     figures = json.loads(tramstream("evaluate", smoothed[0], "--json").stdout)
     assert figures["smoothed_speed_rms_mps"] < figures["speed_rms_mps"]
+
+
+def test_filter_that_is_right_is_not_contradicted(ride: Path, tmp_path: Path) -> None:
+    out = tmp_path / "o.mcap"
+    figures = json.loads(tramstream("reprocess", ride, "-o", out, "--judge", "--json").stdout)
+    assert (figures["contradicted"], figures["contradictions"]) == (False, [])
+
+
+def test_filter_that_is_told_a_wrong_wheel_is_contradicted_with_and_without_truth(
+    ride: Path, tmp_path: Path
+) -> None:
+    with open_record(ride) as record:
+        vehicle = vehicle_of(record, ride)
+    wheels = replace(vehicle.wheels, m_per_pulse=1.3 * vehicle.wheels.m_per_pulse, scale_std=1e-4)
+    wrong = tmp_path / "wrong.mcap"
+    rerun(ride, wrong, replace(vehicle, wheels=wheels))
+    without_truth = {each.figure for each in contradictions_in(wrong)}
+    assert any(figure.startswith("nis_wheel") for figure in without_truth)
+    wrong.rename(ride.with_name(wrong.name))
+    with_truth = contradictions_in(ride.with_name(wrong.name))
+    assert with_truth[0].figure in ("protection_exceeded_share", "nees_joint_mean")
+
+
+def test_record_that_is_contradicted_ends_with_the_check_that_failed(
+    ride: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = Contradiction("nees_joint_mean", 16.7, 7.9, "NEES is 16.7", "fixes", "gnss")
+    monkeypatch.setattr(judging, "contradictions_in", lambda out: [wrong])
+    with pytest.raises(CheckFailedError, match="nees_joint_mean") as failed:
+        tramstream("reprocess", ride, "-o", tmp_path / "o.mcap", "--judge")
+    assert failed.value.exit_status == 1
 
 
 def test_model_without_a_smoother_is_refused(ride: Path, tmp_path: Path) -> None:
