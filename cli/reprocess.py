@@ -67,7 +67,7 @@ def reprocess(
     make_room(out, [file], overwrite)
     started_s = time.perf_counter()
     result = rerun(file, out, config, check, fresh or late == "accept", smooth)
-    figures = {"file": str(file), "out": str(out)}
+    figures: dict[str, Any] = {"file": str(file), "out": str(out)}
     figures |= _figures(result, time.perf_counter() - started_s)
     against: list[Contradiction] = []
     if judge:

@@ -303,7 +303,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
 
     vehicle: VehicleId
     """Name of the vehicle in all keys (tram/<vehicle>/…) and file names: letters, digits, _ . -"""
-    processors: tuple[Name, ...] = ("resampler", "ekf", MATCHER, "distance")
+    processors: tuple[Name, ...] = ("resampler", "ekf", MATCHER, "distance", "configuration_check")
     """Which processors run, by the names under which they are registered. What is installed and
     not named here does not run; nor does the map matcher without a section [map]."""
     separate: tuple[Name, ...] = ()

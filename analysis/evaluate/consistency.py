@@ -341,12 +341,12 @@ def _nis(normal: Array, accepted: Flags) -> Nis:
 def protection(errors: Errors) -> Protection | None:
     """Compare protection levels with the true errors; None if there are no levels."""
     error = np.abs(np.stack([errors.along_m, errors.across_m], axis=1))
-    known = np.isfinite(error + errors.protection_m).all(axis=1)
+    known: Flags = np.asarray(np.isfinite(error + errors.protection_m).all(axis=1))
     if not known.any():
         return None
     level = errors.protection_m[known]
     exceeded = error[known] > level
-    any_exceeded = exceeded.any(axis=1)
+    any_exceeded: Flags = np.asarray(exceeded.any(axis=1))
     used = np.minimum((error[known] / np.maximum(level, TINY_M)).max(axis=1), 1.0)
     apart = stretches(any_exceeded, autocorrelation_time(used))
     place = nees(errors.take(known), NEES_SLOTS["position"])

@@ -15,6 +15,7 @@ from tramstream.estimation import events as fixes
 from tramstream.events import Kind
 from tramstream.events.sentences import unit_of
 from tramstream.live import events as live
+from tramstream.processors.consistency import events as configuration
 from tramstream.processors.distance import events as distance
 from tramstream.processors.kaspar2023 import events as kaspar2023
 from tramstream.processors.localisation import events as ekf
@@ -32,6 +33,7 @@ TABLES: dict[ModuleType, str] = {
     kaspar2023: "The filter `kaspar2023`",
     matching: "Map matcher",
     distance: "Distance and speed",
+    configuration: "Configuration against the data",
     supervision: "Processes",
     recorder: "Recorder",
     record: "Files of records",

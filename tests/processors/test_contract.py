@@ -12,10 +12,11 @@ from installed import COMFORT, install, put_on_path
 from msgspec.structs import replace
 
 from tramstream import keys
-from tramstream.config import Map
+from tramstream.config import Map, Vehicle
 from tramstream.graph import Graph
 from tramstream.lines.line import built_in_line
 from tramstream.processor import Processor, Sample
+from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.distance.processor import DistanceFilter
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
@@ -95,6 +96,22 @@ class TestMapMatcher(Contract):
         ]
         assert len(taken) > 10
         assert all(each.accepted for each in taken)
+
+
+class TestConfigurationCheck(Contract):
+    """Of a vehicle that is configured wrongly: else it has nothing to say."""
+
+    def vehicle(self) -> Vehicle:
+        vehicle = ride().vehicle
+        wheels = replace(vehicle.wheels, m_per_pulse=3.6 * vehicle.wheels.m_per_pulse)
+        assert vehicle.imu is not None
+        return replace(vehicle, wheels=wheels, imu=replace(vehicle.imu, mounting_deg=(0, 20, 0)))
+
+    def make(self) -> list[Processor]:
+        return [Resampler(self.vehicle()), ConfigurationCheck(self.vehicle())]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(ride().vehicle)]
 
 
 class TestForeignProcessor(Contract):
