@@ -20,9 +20,10 @@ from tramstream.estimation.localiser import Estimate, values_of
 from tramstream.estimation.series import Instants, StateSeries
 from tramstream.geodesy import LocalLevel
 from tramstream.lines import traces
-from tramstream.processors.matching.matcher import FORGET_S
-from tramstream.processors.matching.offline import TRACE_FORGET_S, find_path, trace_estimates
+from tramstream.processors.matching.matcher import FORGET_S, TRACE_FORGET_S
 from tramstream.processors.matching.offline import Path as MatchedPath
+from tramstream.processors.matching.offline import find_path, trace_estimates
+from tramstream.processors.matching.source import SATELLITES, TRACK
 from tramstream.recorder.columns import read_ride
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess.run import rerun
@@ -110,10 +111,18 @@ def _of_record(file: Path, network: Network, net: Path, say: Callable[[str], Non
     states, level = found
     of_vehicle = vehicle.map if vehicle is not None else None
     settings = of_vehicle or Map(network=str(net))
-    path = find_path(network, settings, _estimates(states, level), FORGET_S)
+    forget_s = TRACE_FORGET_S if _alone(states) else FORGET_S
+    path = find_path(network, settings, _estimates(states, level), forget_s)
     plan = network.plan_of(states.geodetic)
     kind = f"{keys.EST_STATE.path}, {len(states)} states"
     return Source(states.stamp_ns, plan, offset_ns, path, kind, tuple(notes))
+
+
+def _alone(states: StateSeries) -> bool:
+    """Whether the states are of a filter that took nothing but fixes and the track."""
+    names = states.innovations.names
+    others = [name for name in names if not name.startswith((SATELLITES, TRACK))]
+    return bool(names) and not others
 
 
 def _of_fixes(record: Record, network: Network, net: Path, offset_ns: int | None) -> Source:

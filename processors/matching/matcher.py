@@ -41,6 +41,8 @@ LOST = 0.5
 FORGET_S = 300.0
 """Time in which errors of a filter with inertial sensors forget themselves: it averages its fixes
 over minutes."""
+TRACE_FORGET_S = 15.0
+"""The same of fixes alone, and of a filter that has nothing but them: it follows them."""
 MOVES_MPS = 0.3
 """From here on the sign of the speed tells the direction of travel."""
 
@@ -147,6 +149,7 @@ class Matcher:
         self._gap_s = gap_s
         self.remembered = HypothesesMemory()
         self.memory = self.remembered.numbers
+        self._forget_s = forget_s
         self._constants = np.array(
             [forget_s, settings.std_m, settings.correlation_m, pivot_m, lever_m]
         )
@@ -189,7 +192,9 @@ class Matcher:
         """How many there are."""
         return int(self.memory[kernels.COUNT])
 
-    def step(self, estimate: Estimate, frame: MapFrame, held: bool = False) -> Match | None:
+    def step(
+        self, estimate: Estimate, frame: MapFrame, held: bool = False, alone: bool = False
+    ) -> Match | None:
         """Take an estimate; None while nothing is known.
 
         Parameters
@@ -199,10 +204,13 @@ class Matcher:
         held : bool
             Whether the filter that the estimate is of is held to `Match.circle`: then it knows by
             itself what the map tells.
+        alone : bool
+            Whether the estimate is of fixes alone, and forgets its errors as soon as they do.
         """
         if estimate.mode == STARTING:
             return None
         frame.follow(*estimate.p_l)
+        self._constants[kernels.FORGET_S] = TRACE_FORGET_S if alone else self._forget_s
         z = self._motion
         dt = (estimate.stamp_ns - self.remembered.stamp_ns) / S if self.remembered.stamp_ns else 0.0
         headed = estimate.mode != HEADING_UNKNOWN

@@ -25,8 +25,6 @@ from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import Network
 from tramstream.tracks.rails import beside
 
-TRACE_FORGET_S = 15.0
-"""Errors of plain fixes forget themselves faster than those of a filter."""
 TRACE_STEP_S = 0.5
 TRACE_STD_M = 5.0
 """Of fixes that do not say how good they are."""

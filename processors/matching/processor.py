@@ -23,9 +23,13 @@ from tramstream.memory.stage import assign
 from tramstream.processor import Processor, Sample
 from tramstream.processors.matching import events as own_events
 from tramstream.processors.matching.events import MAP_FAR, MAP_REFUSED
-from tramstream.processors.matching.matcher import HypothesesMemory, Match, Matcher
+from tramstream.processors.matching.matcher import (
+    TRACE_FORGET_S,
+    HypothesesMemory,
+    Match,
+    Matcher,
+)
 from tramstream.processors.matching.messages import geometry_of, location_of, message_of
-from tramstream.processors.matching.offline import TRACE_FORGET_S
 from tramstream.processors.matching.source import (
     FixesMemory,
     ReceiverFixes,
@@ -138,7 +142,7 @@ class MapMatcher(Processor):
         if frame is None or frame.level is not level:
             frame = self._frame = MapFrame(matcher.network, level)
             frame.follow(0.0, 0.0, 0.0)
-        match = matcher.step(estimate, frame, source.held)
+        match = matcher.step(estimate, frame, source.held, source.alone)
         return (
             [] if match is None else self._found(matcher, match, frame, sample, estimate.standing)
         )

@@ -34,8 +34,15 @@ LAID_M = 50.0
 millimetre."""
 UPPER = 28
 """Numbers of a covariance's upper triangle, as states carry it."""
+TRACK = "track"
+"""How measurements begin that are the map's."""
 TAKEN = "track_across"
 """A measurement by which a state shows that its filter is held to the track."""
+SATELLITES = "gnss"
+"""How measurements begin that are the receiver's: a localiser whose states name no others follows
+the fixes, and errs as long as they do."""
+ALONE_S = 5.0
+"""Nothing but fixes for so long: the inertial sensor and the wheels are away."""
 HELD_M = 10.0
 """A filter that has taken nothing of the track for so long a way is not held to it any more."""
 FIX_MOVES_MPS = 1.0
@@ -76,6 +83,10 @@ class StatesMemory:
     stamp_ns: int = 0
     way_m: float = math.inf
     """Since the filter took something of the track."""
+    fixes_ns: int = 0
+    """When the filter last took a fix,"""
+    others_ns: int = 0
+    """and when it last took anything else, but for the track."""
 
 
 @dataclass
@@ -148,6 +159,11 @@ class Source:
         """Whether who says it is held to the track."""
         return False
 
+    @property
+    def alone(self) -> bool:
+        """Whether it follows from fixes alone, and errs as long as they do."""
+        return False
+
 
 class States(Source):
     """States of a localiser (`MotionState`)."""
@@ -184,13 +200,22 @@ class States(Source):
             memory.way_m += abs(speed_mps) * min(max((stamp_ns - memory.stamp_ns) / S, 0.0), 1.0)
         memory.stamp_ns = stamp_ns
         for each in message.innovations:
-            if each.measurement == TAKEN and each.accepted:
+            name = each.measurement
+            if name.startswith(SATELLITES):
+                memory.fixes_ns = stamp_ns
+            elif not name.startswith(TRACK):
+                memory.others_ns = stamp_ns
+            elif name == TAKEN and each.accepted:
                 memory.way_m = 0.0
-                break
 
     @property
     def held(self) -> bool:
         return self.memory.way_m < HELD_M
+
+    @property
+    def alone(self) -> bool:
+        memory = self.memory
+        return memory.fixes_ns > 0 and memory.fixes_ns - memory.others_ns > ALONE_S * S
 
 
 class ReceiverFixes(Source):
@@ -199,6 +224,10 @@ class ReceiverFixes(Source):
     def __init__(self, memory: FixesMemory | None = None) -> None:
         self.memory = FixesMemory() if memory is None else memory
         super().__init__(self.memory.ground)
+
+    @property
+    def alone(self) -> bool:
+        return True
 
     def take(self, message: GnssFix) -> Estimate | None:
         """Give the fix as an estimate; None if it is not valid."""

@@ -87,7 +87,13 @@ class Said:
         return off
 
 
-def matched(case: Made, drive: Driven, settings: Map = SETTINGS, obeys: bool = True) -> Said:
+def matched(
+    case: Made,
+    drive: Driven,
+    settings: Map = SETTINGS,
+    obeys: bool = True,
+    alone: bool = False,
+) -> Said:
     """Put a ride through a matcher, whose filter is put onto the rails where `obeys`."""
     matcher = Matcher(case.network, settings)
     frame = MapFrame(case.network, FILTER_LEVEL)
@@ -97,7 +103,8 @@ def matched(case: Made, drive: Driven, settings: Map = SETTINGS, obeys: bool = T
     for estimate in drive.estimates:
         obeying.wait(max(estimate.stamp_ns - last_ns, 0) / S)
         last_ns = max(estimate.stamp_ns, last_ns)
-        match = matcher.step(obeying.apply(estimate) if obeys else estimate, frame, held=obeys)
+        given = obeying.apply(estimate) if obeys else estimate
+        match = matcher.step(given, frame, held=obeys, alone=alone)
         assert match is not None
         on_track = told(matcher, match, frame)
         assert_sane(match, matcher, on_track)

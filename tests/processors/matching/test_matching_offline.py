@@ -15,9 +15,8 @@ from tramstream.clock import S
 from tramstream.config import Map
 from tramstream.estimation.localiser import HEADING_UNKNOWN
 from tramstream.lines.line import Line
-from tramstream.processors.matching.matcher import Matcher
+from tramstream.processors.matching.matcher import TRACE_FORGET_S, Matcher
 from tramstream.processors.matching.offline import (
-    TRACE_FORGET_S,
     Path,
     PathFinder,
     find_path,

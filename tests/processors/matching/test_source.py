@@ -167,3 +167,36 @@ def test_source_is_what_the_settings_name(source: str, type_: type) -> None:
 def test_source_that_is_no_place_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"\$\.map\.source: raw/imu/batch carries tramstream\."):
         MapMatcher(Vehicle(vehicle="t1", map=Map(network="none", source=keys.IMU_BATCH.path)))
+
+
+def said(stamp_s: float, *names: str) -> MotionState:
+    """A state with innovations of measurements."""
+    message = state(stamp_s)
+    for name in names:
+        message.innovations.add(measurement=name, variance=1.0, accepted=True)
+    return message
+
+
+def test_localiser_that_takes_fixes_alone_is_known_by_its_states_and_no_other() -> None:
+    source = States()
+    assert not source.alone
+    for second in range(4):
+        source.take(said(second, "gnss_east", "gnss_north"))
+    assert not source.alone, "a filter may wait for its wheels a moment"
+    source.take(said(6.0, "gnss_east", "track_across"))
+    assert source.alone
+    source.take(said(6.1, "wheel_a"))
+    assert not source.alone
+    for second in range(7, 60):
+        source.take(said(second, "zero_angular_rate_x"))
+    assert not source.alone, "in an outage as well"
+
+
+def test_what_is_known_of_a_localiser_is_remembered() -> None:
+    source, again = States(), States()
+    source.take(said(1.0, "gnss_east"))
+    source.take(said(7.0, "gnss_east"))
+    restored = from_plain(StatesMemory, to_plain(source.memory))
+    again = States(restored)
+    assert again.alone
+    assert ReceiverFixes().alone
