@@ -11,7 +11,6 @@ import numpy as np
 
 from tramstream import keys
 from tramstream.analysis.evaluate import errors as evaluation
-from tramstream.analysis.evaluate.consistency import Nees
 from tramstream.analysis.evaluate.errors import Errors, MotionErrors
 from tramstream.analysis.evaluate.judgement import MAIN, Judgement, Summary, judge
 from tramstream.analysis.report.charts import BAD, FILTER, GNSS, SMOOTHED, TRUTH, Timeline, Trace
@@ -221,7 +220,7 @@ def _add_figures(page: Page, judged: Judged) -> None:
                 speed.std if speed is not None else None,
                 yaw.rms if yaw is not None else None,
                 main.mean / main.dimensions if main is not None else None,
-                _verdict(main) if main is not None else "",
+                str(main.verdict) if main is not None else "",
             )
         )
     percentiles = ("P50, m", "P90, m", "P95, m", "max, m")
@@ -285,7 +284,7 @@ def _add_all(page: Page, judged: Judged) -> None:
             f"{figure(each.bounds.low)} … {figure(each.bounds.high)}",
             each.effective,
             100 * each.inside_share,
-            _verdict(each),
+            str(each.verdict),
         )
         for of, judgement in judged.of.items()
         for what, each in judgement.nees.items()
@@ -293,12 +292,6 @@ def _add_all(page: Page, judged: Judged) -> None:
     bounds = ("95 % of means", "worth samples", "inside 95 %, %", "stated σ")
     fold = "NEES: is the stated σ honest?"
     page.table(("of", "NEES", "ideal", "mean", *bounds), rows, fold=fold)
-
-
-def _verdict(nees: Nees) -> str:
-    if nees.consistent:
-        return "consistent"
-    return "too cautious" if nees.mean < nees.bounds.low else "too confident"
 
 
 def _add_stated(page: Page, material: Material) -> None:

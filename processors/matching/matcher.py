@@ -20,6 +20,7 @@ from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching import step as steps
+from tramstream.processors.matching.parting import beyond_switch_m, surest
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import Network
 from tramstream.tracks.rails import Rails, Search, rails_of
@@ -146,6 +147,7 @@ class Matcher:
         self._rails = rails_of(network)
         self._names: dict[int, str] = {}
         self._search = Search(network)
+        self._beyond_m = beyond_switch_m(network)
         self._gap_s = gap_s
         self.remembered = HypothesesMemory()
         self.memory = self.remembered.numbers
@@ -308,6 +310,18 @@ class Matcher:
             circle,
             headed,
         )
+
+    def said(self, match: Match) -> Match:
+        """Give what may be said of a match: no surer than maps of switches are (`parting`)."""
+        if match.run < 0:
+            return match
+        most = surest(float(self._beyond_m[match.run]) + match.chainage_m)
+        if match.probability <= most:
+            return match
+        rest = sum(each.probability for each in match.others)
+        more = 1.0 + (match.probability - most) / rest if rest > 0.0 else 1.0
+        others = tuple(each._replace(probability=more * each.probability) for each in match.others)
+        return match._replace(probability=most, others=others)
 
     def _other(self, out: list[float], k: int) -> Candidate:
         """Another run, in the direction of motion."""

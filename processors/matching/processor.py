@@ -152,7 +152,7 @@ class MapMatcher(Processor):
     ) -> list[Sample]:
         """Put what was found into messages."""
         stamp_ns, memory = sample.stamp_ns, self.memory
-        message = message_of(matcher, match, frame, standing)
+        message = message_of(matcher, matcher.said(match), frame, standing)
         made = [self.emit(keys.MAP_MATCH, message, stamp_ns)]
         if match.run < 0:
             return made + self._tell_far(matcher, stamp_ns)

@@ -126,7 +126,7 @@ def test_figures_are_those_of_evaluate(ride, page):
     names += ["along_rms_m", "across_rms_m", "speed_std_mps", "yaw_rms_deg"]
     assert row[1:9] == [figure(judged[name]) for name in names]
     assert row[9] == figure(judged["nees_joint_mean"] / judged["nees_joint_dimensions"])
-    assert (row[10] == "consistent") == judged["consistent"]
+    assert row[10] == judged["verdict"]
     sides = [row for row in read(page).rows if row[:1] == ["filter"] and len(row) == 4]
     assert [row[2] for row in sides[:2]] == [
         figure(judged[f"protection_{side}_mean_m"]) for side in ("along", "across")
