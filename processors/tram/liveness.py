@@ -22,8 +22,8 @@ from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
 
-LOOK_S, SOON_S = 0.25, 0.02
-"""So often wheels are looked at, and a frame with wheels is waited for; chosen by hand."""
+LOOK_S = 0.25
+"""So often wheels are looked at; chosen by hand."""
 STILL_S = 3.0
 """A counter that stands for so long, while its vehicle moves, is dead: longer than wheels stay
 locked; chosen by hand, guarded by `tests/processors/tram/test_liveness.py`."""
@@ -97,10 +97,9 @@ class Liveness:
             As the filter knows it; 0 where it is not sure.
         """
         memory = self.memory
-        if frame.stamp_ns >= memory.due_ns:
-            memory.due_ns = frame.stamp_ns + int((LOOK_S if frame.odometry else SOON_S) * S)
-            if frame.odometry:
-                self._look_at_wheels(frame.odometry[-1], fast_s)
+        if frame.stamp_ns >= memory.due_ns and frame.odometry:
+            memory.due_ns = frame.stamp_ns + int(LOOK_S * S)
+            self._look_at_wheels(frame.odometry[-1], fast_s)
         gnss = frame.gnss
         frozen = (
             [each.stamp_ns for each in gnss if self._is_frozen(each, speed_mps)] if gnss else []
