@@ -360,7 +360,9 @@ def _distance(ekf: TramFilter, offset: Offset) -> float:
     across = cos * offset.north_mps - sin * offset.east_mps
     variance = offset.std_mps * offset.std_mps
     turned = speed * speed * ekf.variances[YAW]
-    return along * along / (variance + ekf.variances[SPEED]) + across * across / (variance + turned)
+    squared: float = along * along / (variance + ekf.variances[SPEED])
+    squared += across * across / (variance + turned)
+    return squared
 
 
 def _since(since_ns: int, refused: bool, stamp_ns: int) -> int:

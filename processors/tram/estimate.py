@@ -23,7 +23,9 @@ from tramstream.processors.tram_model import axes
 from tramstream.processors.tram_model.states import UNITS, Ix
 from tramstream.processors.tram_model.zero_velocity import STANDING_STD_MPS
 
-SPEED_VARIANCE = COVARIANCE + int(Ix.SPEED) * 8
+EAST_VARIANCE, NORTH_VARIANCE, SPEED_VARIANCE = (
+    COVARIANCE + int(state) * 8 for state in (Ix.EAST, Ix.NORTH, Ix.SPEED)
+)
 """In the values of an estimate, whose covariance has seven columns."""
 NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 """Of an angle that may be any."""
@@ -55,13 +57,11 @@ def of_values(
     return Estimate(stamp_ns, mode, values, standing, verdicts)
 
 
-def doubted(estimate: Estimate, way_m: float, speed_mps: float) -> Estimate:
+def doubt(values: Array, way_m: float, speed_mps: float) -> None:
     """Say of a vehicle that stands by its wheels, and moves by GNSS, that either may be true."""
-    said = replace(estimate, values=estimate.values.copy())
-    covariance = said.covariance
-    for axis, off in ((0, way_m), (1, way_m), (Ix.SPEED, speed_mps)):
-        covariance[axis, axis] += off * off
-    return said
+    values[EAST_VARIANCE] += way_m * way_m
+    values[NORTH_VARIANCE] += way_m * way_m
+    values[SPEED_VARIANCE] += speed_mps * speed_mps
 
 
 def without_heading(

@@ -230,8 +230,8 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
-        off_m = verdicts[0].innovation, verdicts[1].innovation
-        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, off_m, velocity, accepted)
+        offset_m = verdicts[0].innovation, verdicts[1].innovation
+        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, offset_m, velocity, accepted)
         return verdicts, found
 
     def _refuse(

@@ -97,7 +97,7 @@ class Liveness:
             As the filter knows it; 0 where it is not sure.
         """
         memory = self.memory
-        if frame.odometry and frame.stamp_ns >= memory.due_ns:
+        if frame.stamp_ns >= memory.due_ns and frame.odometry:
             memory.due_ns = frame.stamp_ns + int(LOOK_S * S)
             self._look_at_wheels(frame.odometry[-1], fast_s)
         gnss = frame.gnss

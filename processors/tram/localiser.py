@@ -95,7 +95,8 @@ class TramLocaliser:
             navigation = self._wait(frame)
             if navigation is None:
                 return None
-        frame = self._leave_out(navigation, frame)
+        if stamp_ns >= memory.liveness.due_ns or memory.liveness.dead or frame.gnss:
+            frame = self._leave_out(navigation, frame)
         self._detect_silence(navigation, frame)
         standing = self._observe(navigation, frame, gap_s)
         noise = self._standstill.noise if memory.inertial else None
@@ -126,7 +127,8 @@ class TramLocaliser:
         """Give the frame without sensors that do not live."""
         liveness, standstill = self._liveness, self._standstill
         stamp_ns, dead = frame.stamp_ns, liveness.wheels_dead
-        sure_mps = navigation.sure_mps if self.memory.phase is Phase.RUNNING else 0.0
+        running = self.memory.phase is Phase.RUNNING
+        sure_mps = navigation.sure_mps if running and frame.gnss else 0.0
         honest = liveness.honest(frame, standstill.fast_s(stamp_ns), sure_mps)
         if not liveness.found:
             return honest
@@ -326,7 +328,7 @@ class TramLocaliser:
             way_m, mps = self._standstill.unseen(memory.stamp_ns)
             way_m = max(way_m, navigation.fixes.unexplained_m(navigation.ekf))
             if way_m > 0.0:
-                estimate = estimates.doubted(estimate, way_m, mps)
+                estimates.doubt(estimate.values, way_m, mps)
         if running:
             return estimate
         fix = memory.last_fix

@@ -32,7 +32,8 @@ from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import Phase, published_mode
 from tramstream.processors.tram.readings import Became, Readings, ReadingsMemory
 from tramstream.processors.tram.start import first_deviations
-from tramstream.processors.tram.wheels import PairMemory, WheelPair
+from tramstream.processors.tram.wheel import PairMemory
+from tramstream.processors.tram.wheels import WheelPair
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE

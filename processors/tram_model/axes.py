@@ -12,13 +12,22 @@ import numpy as np
 from tramstream.estimation import localiser
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.estimation.localiser import ACCELERATION, YAW_RATE
-from tramstream.processors.tram_model.records import INERTIAL, MEMORY, PARAMETERS, Inertial, Memory
+from tramstream.processors.tram_model.records import (
+    INERTIAL,
+    MEMORY,
+    PARAMETERS,
+    Inertial,
+    Memory,
+    Z,
+)
 from tramstream.processors.tram_model.states import SIZE, Ix
 from tramstream.processors.tram_model.update import columns_of
 from tramstream.proto.sync_pb2 import ImuMean
 
 FASTEST_RADPS = 4.0
 """No vehicle turns faster; a reading beyond is none."""
+FASTEST_YAW_RADPS = 2.0
+"""No vehicle turns faster about its vertical axis, which a jolt does not turn; chosen by hand."""
 HARDEST_MPS2 = 60.0
 """No vehicle is pushed harder; a reading beyond is none."""
 SMOOTHING_S = 0.1
@@ -87,10 +96,6 @@ def take_reading(
     dt : float
         Between the two readings, s; 0 if there is none before.
     """
-    # Comparisons with what is no number are false.
-    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
-    if not (turns and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
-        return IMPOSSIBLE
     i = inertial.view(INERTIAL)[0]
     rate, force = np.empty(3), np.empty(3)
     for k in range(3):
@@ -100,6 +105,11 @@ def take_reading(
     # A line may be level in an axis, which does not make that axis stuck.
     if i.straight < STRAIGHT_READINGS and _repeats(i, gx, gy, gz, ax, ay, az):
         return STUCK
+    # Comparisons with what is no number are false.
+    turns = abs(gx) + abs(gy) + abs(gz) < FASTEST_RADPS
+    turning = abs(C_vb[Z, 0] * gx + C_vb[Z, 1] * gy + C_vb[Z, 2] * gz) < FASTEST_YAW_RADPS
+    if not (turns and turning and abs(ax) + abs(ay) + abs(az) < HARDEST_MPS2):
+        return IMPOSSIBLE
     i.before = i.now
     now = i.now
     for k in range(3):

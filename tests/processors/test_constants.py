@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
-ROOMS = ("tram", "tram_model", "kaspar2023")
+ROOMS = ("tram", "tram_model", "smoothing", "kaspar2023")
 MODULES = sorted(each for room in ROOMS for each in (REPOSITORY / "processors" / room).glob("*.py"))
 TABLE = (REPOSITORY / "docs" / "theory.md").read_text().partition("## 17 Tuned constants")[2]
 SOURCE = re.compile(r"by hand|study|test_|tests/|data sheet|theory\.md")

@@ -133,7 +133,7 @@ class Contract:
         got: list[Envelope] = []
         other = self.hear("a/b")
         subscription = self.reader.subscribe("a/b", got.append)
-        until(lambda: self.send("a/b", 1) and got, "the first message")
+        until(lambda: self.send("a/b", 1) and got and other, "the first message on both")
         subscription.close()
         self.send("a/b", 2)
         until(lambda: other[-1].sequence == 2, "the message on the other subscription")

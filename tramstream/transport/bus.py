@@ -31,8 +31,7 @@ from tramstream.transport.settings import LEAVE_S, client_settings, router_setti
 from tramstream.transport.subscription import Subscription
 
 CLOSE_TIMEOUT_S = 3.0  # zenoh's close may take ten seconds while a peer is frozen
-_START_ONE = """start `tramstream run`, `demo` or `replay` first, or set TRAMSTREAM_RUNTIME_DIR to \
-the folder that it uses"""
+_START_ONE = "start `tramstream run`, `demo` or `replay` first, or name its TRAMSTREAM_RUNTIME_DIR"
 ROUTER_POLL_S = 0.1
 __all__ = ["HEADER", "Bus", "Deliver", "Envelope", "LocalBus", "ZenohBus", "router_listens"]
 
@@ -122,10 +121,7 @@ class Bus(ABC):
 
     @abstractmethod
     def until_recorded(self, vehicle: str, timeout_s: float = LEAVE_S) -> bool:
-        """Wait until the recorder of `vehicle` has all of this session so far; False if it has not.
-
-        Where there is no recorder, it has all.
-        """
+        """Wait until the recorder of `vehicle`, if any, has all of this session; False if not."""
 
     @abstractmethod
     def ask_again(
