@@ -18,6 +18,9 @@ from tramstream.geodesy import LocalLevel
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.simulation.simulation import Simulation
 
+NUMBERS = 13
+"""Of a state, beside stamp and covariance."""
+
 
 class SaidStates:
     """What a model said, in flat columns."""
@@ -42,14 +45,14 @@ class SaidStates:
     def states(self, level: LocalLevel) -> StateSeries:
         """What it said as columns, positions in `level`."""
         count = len(self.stamp_ns)
-        columns = np.frombuffer(self.numbers).reshape(count, -1)
+        columns = np.array(self.numbers).reshape(count, NUMBERS)
         geodetic = geodetic_rad(columns[:, :3])
-        triangle = np.frombuffer(self.covariance).reshape(count, -1)
+        triangle = np.array(self.covariance).reshape(count, len(Slot) * (len(Slot) + 1) // 2)
         covariance = np.empty((count, len(Slot), len(Slot)))
         rows, columns_of = np.triu_indices(len(Slot))
         covariance[:, rows, columns_of] = covariance[:, columns_of, rows] = triangle
         return StateSeries(
-            stamp_ns=np.frombuffer(self.stamp_ns, dtype=np.int64),
+            stamp_ns=np.array(self.stamp_ns, dtype=np.int64),
             geodetic=geodetic,
             p_l=level.from_geodetic(geodetic),
             speed_mps=columns[:, 6],

@@ -40,6 +40,7 @@ from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto import health_pb2
+from tramstream.proto.sync_pb2 import Tick
 from tramstream.simulation import scenario
 from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
@@ -49,8 +50,8 @@ from tramstream.tracks.network import Array
 
 SCENARIO = "city"
 RATE_HZ, BATCH = 400.0, 20
-EVERY = 10
-"""Judged frames: 10 Hz."""
+TICK_NS = S // 10
+"""From tick to tick, as live, and from one judged frame to the next."""
 DURATION_S = 300.0
 SEED = 101
 """First of the seeds in docs/accuracy.md."""
@@ -191,13 +192,24 @@ def _frames(
 ) -> Iterator[Sample]:
     """Frames as the configured resampler makes them; what it says is said to each run."""
     graph = Graph([Resampler(vehicle)])
-    for sample in simulation.samples():
+    for sample in _ticked(simulation.samples()):
         for released in graph.step(sample):
             if released.key is keys.SYNC_FRAME:
                 yield released
             else:
                 for run in runs:
                     run.hear(released)
+
+
+def _ticked(samples: Iterable[Sample]) -> Iterator[Sample]:
+    """Let time pass as the processors' process does, for rides without inertial data."""
+    next_ns = 0
+    for sample in samples:
+        next_ns = next_ns or sample.publish_ns + TICK_NS
+        while sample.publish_ns >= next_ns:
+            yield Sample(keys.SYNC_TICK, Tick(stamp_ns=next_ns), next_ns, 0, next_ns)
+            next_ns += TICK_NS
+        yield sample
 
 
 class _Run:
@@ -209,18 +221,18 @@ class _Run:
         self._graph = Graph([*stages, MapMatcher(vehicle)] if self.with_map else stages)
         self.states, self.matches = SaidStates("tram"), Said()
         self.raised: list[Raised] = []
-        self._number = 0
+        self._judged_ns = 0
 
     def step(self, frame: Sample) -> None:
         outputs = self._graph.step(frame)
         for output in outputs:
             self.hear(output)
-        if self._number % EVERY == 0:
+        if frame.stamp_ns >= self._judged_ns + TICK_NS:
+            self._judged_ns = frame.stamp_ns // TICK_NS * TICK_NS
             self.matches.keep(outputs)
             for output in outputs:
                 if output.key is keys.EST_STATE:
                     self.states.keep(output.message)
-        self._number += 1
 
     def hear(self, sample: Sample) -> None:
         message = sample.message
@@ -237,7 +249,7 @@ def _figures(case: Case, simulation: Simulation, ride: NetworkRide | None, run: 
     known = run.states.states(simulation.line.level)
     judged = errors(known, truth_at(simulation, known.stamp_ns))
     track = None
-    if ride is not None and run.with_map:
+    if ride is not None and run.with_map and len(judged):
         named = matching.Case(case.network or "", case.line, case.seed)
         tallies = matching.figures(named, ride, simulation, run.matches).tallies
         track = tallies[TRACK].share
@@ -248,7 +260,7 @@ def _figures(case: Case, simulation: Simulation, ride: NetworkRide | None, run: 
         duration_s=simulation.duration_s,
         states=len(judged),
         **_errors(judged),
-        nees=float(np.nanmean(consistency.nees_series(judged, NEES_SLOTS["position"]))),
+        nees=_nees(judged),
         beyond_share=None if protection is None else protection.exceeded_any_share,
         protection_m=None if protection is None else protection.mean_m[1],
         right_track_share=track,
@@ -257,8 +269,18 @@ def _figures(case: Case, simulation: Simulation, ride: NetworkRide | None, run: 
     )
 
 
+def _nees(judged: Errors) -> float:
+    """Mean over the ride, of the position; NaN where there is none."""
+    series = consistency.nees_series(judged, NEES_SLOTS["position"])
+    known = series[np.isfinite(series)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
 def _errors(judged: Errors) -> dict[str, float]:
     size = judged.horizontal_m
+    if not len(size):
+        nothing = ("p50_m", "p90_m", "rms_m", "max_m", "max_at_s", "heading_rms_deg")
+        return dict.fromkeys(nothing, float("nan"))
     worst = int(size.argmax())
     heading: Array = np.degrees(judged.yaw_rad[np.isfinite(judged.yaw_rad)])
     return {

@@ -40,7 +40,8 @@ def reproduce(options: Options) -> None:
     for job, result in pool.results([Job(study.study, (case,)) for case in cases]):
         (case,) = job.arguments
         rides[case] = result
-        say(f"{len(rides)}/{len(cases)}: {case.world}, {case.line}, seed {case.seed}")
+        p90 = " and ".join(f"{each.p90_m:.2f}" for each in result)
+        say(f"{len(rides)}/{len(cases)}: {case.world}, {case.line}, seed {case.seed}: P90 {p90} m")
     found = [each for case in cases if case in rides for each in rides[case]]
     elapsed_s = time.monotonic() - began_s
     missing = len(cases) - len(rides)

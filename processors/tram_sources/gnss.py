@@ -230,14 +230,9 @@ class Fixes:
         if not refused and memory.absurd_ns == 0:
             memory.accepted_ns = fix.stamp_ns
         memory.last_ns = fix.stamp_ns
-<<<<<<< HEAD:processors/tram_sources/gnss.py
         innovation_m = verdicts[0].innovation, verdicts[1].innovation
         std_m = self.noise.std_m
         self.heard = Heard(fix.stamp_ns, std_m, refused, innovation_m, velocity, accepted)
-=======
-        offset_m = verdicts[0].innovation, verdicts[1].innovation
-        self.heard = Heard(fix.stamp_ns, self.noise.std_m, refused, offset_m, velocity, accepted)
->>>>>>> fixes:processors/tram/gnss.py
         return verdicts, found
 
     def _refuse(

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from tramstream.analysis.evaluate.errors import errors
 from tramstream.analysis.studies import worlds as study
 from tramstream.analysis.studies import worlds_sums as sums
+from tramstream.analysis.studies.states import SaidStates, truth_at
 from tramstream.analysis.studies.worlds import Case, Figures, Raised
 from tramstream.analysis.studies.worlds_events import at_speed_s, corners_s
 from tramstream.analysis.studies.worlds_table import TODAY, WORLDS, World, changed, world_of
@@ -176,3 +178,18 @@ def test_short_ride_is_judged_and_is_the_same_again() -> None:
 def test_every_name_is_found_and_no_other() -> None:
     assert all(world_of(world.name) is world for world in WORLDS)
     assert world_of("sunshine") is None
+
+
+def test_ride_without_inertial_data_is_judged_ten_times_a_second_as_well() -> None:
+    (ride,) = study.study(case("position-only receiver", duration_s=20.0))
+    assert ride.states > 150
+    assert ride.p90_m < 20.0
+
+
+def test_filter_that_says_nothing_has_no_figures() -> None:
+    simulation = study.simulation_of(case(TODAY, duration_s=5.0))
+    known = SaidStates("tram").states(simulation.line.level)
+    assert len(known) == 0
+    judged = errors(known, truth_at(simulation, known.stamp_ns))
+    assert all(math.isnan(value) for value in study._errors(judged).values())
+    assert math.isnan(study._nees(judged))
