@@ -95,6 +95,8 @@ class Figures(NamedTuple):
     p50_m: float
     """Horizontal,"""
     p90_m: float
+    moving_p90_m: float
+    """Since the first departure: before it nobody sees the error of the fixes."""
     rms_m: float
     max_m: float
     max_at_s: float
@@ -260,6 +262,7 @@ def _figures(case: Case, simulation: Simulation, ride: NetworkRide | None, run: 
         duration_s=simulation.duration_s,
         states=len(judged),
         **_errors(judged),
+        moving_p90_m=_since(judged, float(simulation.ride.dwells_s[0, 1])),
         nees=_nees(judged),
         beyond_share=None if protection is None else protection.exceeded_any_share,
         protection_m=None if protection is None else protection.mean_m[1],
@@ -267,6 +270,12 @@ def _figures(case: Case, simulation: Simulation, ride: NetworkRide | None, run: 
         fault_s=fault_s(case, simulation),
         raised=tuple(run.raised),
     )
+
+
+def _since(judged: Errors, begin_s: float) -> float:
+    """P90 from a time of the ride on; NaN where nothing is left."""
+    size = judged.horizontal_m[judged.stamp_ns >= EPOCH_NS + begin_s * S]
+    return float(np.percentile(size, 90)) if len(size) else float("nan")
 
 
 def _nees(judged: Errors) -> float:

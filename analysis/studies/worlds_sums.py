@@ -29,11 +29,13 @@ class Sum:
     rides: int
     p50_m: float
     p90_m: float
+    moving_p90_m: float
+    """Since the first departure."""
     rms_m: float
     max_m: float
     """The largest."""
     ratio: float
-    """P90 over that of the same rides as today, NaN without these."""
+    """P90 since the departure over that of the same rides as today, NaN without these."""
     nees: float
     beyond_share: float | None
     beyond_worst_share: float | None
@@ -89,9 +91,10 @@ def _sum(rides: list[Figures], today: dict[tuple[Case, float, bool], Figures]) -
         rides=len(rides),
         p50_m=mean("p50_m"),
         p90_m=mean("p90_m"),
+        moving_p90_m=mean("moving_p90_m"),
         rms_m=squares("rms_m"),
         max_m=max(each.max_m for each in rides),
-        ratio=float(np.mean([each.p90_m / beside.p90_m for each, beside in pairs]))
+        ratio=float(np.mean([each.moving_p90_m / beside.moving_p90_m for each, beside in pairs]))
         if pairs
         else math.nan,
         nees=mean("nees"),

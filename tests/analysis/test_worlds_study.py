@@ -33,6 +33,7 @@ def figures(world: str = TODAY, **fields: Any) -> Figures:
         "states": 1000,
         "p50_m": 0.5,
         "p90_m": 1.0,
+        "moving_p90_m": 1.0,
         "rms_m": 0.6,
         "max_m": 3.0,
         "max_at_s": 10.0,
@@ -127,7 +128,7 @@ def test_fault_is_said_by_the_first_event_that_today_has_not() -> None:
 # Sums ---------------------------------------------------------------------------------------------
 def test_ratio_is_that_of_the_same_rides_and_times_are_after_the_fault() -> None:
     rides = [
-        figures(case=case(world, seed=seed), p90_m=p90, fault_s=fault_s, raised=said)
+        figures(case=case(world, seed=seed), moving_p90_m=p90, fault_s=fault_s, raised=said)
         for world, seed, p90, fault_s, said in (
             (TODAY, 1, 1.0, None, ()),
             (TODAY, 2, 2.0, None, ()),
@@ -144,8 +145,8 @@ def test_ratio_is_that_of_the_same_rides_and_times_are_after_the_fault() -> None
 
 
 def test_worlds_that_nobody_sensible_meets_are_held_to_less() -> None:
-    spoofed = figures("spoofed jump", p90_m=100.0, nees=500.0, fault_s=150.0)
-    frozen = figures("frozen fixes", p90_m=100.0, nees=500.0, fault_s=150.0)
+    spoofed = figures("spoofed jump", moving_p90_m=100.0, nees=500.0, fault_s=150.0)
+    frozen = figures("frozen fixes", moving_p90_m=100.0, nees=500.0, fault_s=150.0)
     found = {each.world: set(each.failed) for each in sums.sums([figures(), spoofed, frozen])}
     assert found == {
         TODAY: set(),
