@@ -108,7 +108,15 @@ def _gear(name: str) -> Changes:
     return {"body": chosen.body, "track": chosen.track}
 
 
-_BOGIES_M = 6.4
+def _told(bogies_m: float) -> Changes:
+    """What an operator knows of a body whose first bogies are so far apart."""
+    return {
+        "ekf": {"pivot_m": bogies_m / 2, "bogie_distance_m": bogies_m},
+        "wheels": {"bogie": "front"},
+    }
+
+
+_BOGIES_M, _FIRST_PART_M = 6.4, 8.9
 _STIFF = Body(pivots_m=(0.0, -_BOGIES_M), pitch_deg_per_mps2=0.0, roll_deg_per_mps2=0.0)
 _SHORT = Body(pivots_m=(0.0, -1.8))
 """A truck of two axles, on springs: its chord is nearly the track."""
@@ -302,6 +310,7 @@ WORLDS: tuple[World, ...] = (
         {"body": _STIFF},
         {"ekf": {"pivot_m": _BOGIES_M / 2}},
     ),
+    World("two bogies, known", "the same, configured as it is", {"body": _STIFF}, _told(_BOGIES_M)),
     World(
         "springs", "a short truck whose body nods and leans by 0.3° for 1 m/s²", {"body": _SHORT}
     ),
@@ -311,17 +320,23 @@ WORLDS: tuple[World, ...] = (
         "both",
         {"body": _SHORT, **_shaken(0.3, math.radians(1.0))},
     ),
-    World("tram", "two bogies, springs and rails of scenario tram", _gear("tram")),
+    World(
+        "tram",
+        "two bogies, configured; springs and rails of scenario tram",
+        _gear("tram"),
+        _told(_BOGIES_M),
+    ),
     World(
         "articulated tram",
-        "three parts on four bogies, sensors in the first, scenario tram_articulated",
+        "three parts on four bogies, configured; sensors in the first, scenario tram_articulated",
         _gear("tram_articulated"),
+        _told(_FIRST_PART_M),
     ),
     World(
         "IMU in another part",
         "the same with the IMU in the middle part, configured at its place",
         {**_gear("tram_articulated"), "imu": {"part": 2, "lever_arm_m": (-12.0, 0.4, 0.6)}},
-        {"imu": {"lever_arm_m": (-12.0, 0.4, 0.6)}},
+        {"imu": {"lever_arm_m": (-12.0, 0.4, 0.6)}, **_told(_FIRST_PART_M)},
     ),
     World("map 1 m beside", "the rails are 1 m to the left", map_error=MapError(beside_m=1.0)),
     World("map 2 m beside", "the rails are 2 m to the left", map_error=MapError(beside_m=2.0)),

@@ -133,6 +133,8 @@ class Wheels(Struct, frozen=True, kw_only=True):
     doors: bool = True
     motor_force: bool = True
     axle: Axle = Axle()
+    bogie: Literal["", front] = ""
+    """`wheels.bogie` of the configuration; those of a simulated body are on its first bogie."""
     stated_delay_s: float = 0.0
     """`wheels.delay_s` of the configuration; the truth is `timing.stamp_offset_s`."""
     slides_per_stop: Annotated[float, Meta(ge=0, le=1)] = 0.0

@@ -109,6 +109,7 @@ def _wheels(section: Wheels) -> config.Wheels:
     return config.Wheels(
         m_per_pulse=section.axle.m_per_pulse,
         track_m=section.axle.track_m,
+        bogie=section.bogie,
         delay_s=section.stated_delay_s,
         stamp_std_s=section.timing.stamp_jitter_s,
     )
