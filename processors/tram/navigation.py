@@ -29,7 +29,7 @@ from tramstream.processors.tram.events import ASTRAY
 from tramstream.processors.tram.filter import FilterMemory, TramFilter
 from tramstream.processors.tram.gnss import Fixes, FixesMemory
 from tramstream.processors.tram.modes import Phase, published_mode
-from tramstream.processors.tram.readings import Became, Readings, ReadingsMemory
+from tramstream.processors.tram.readings import BELIEVED, FOUND_STUCK, Readings, ReadingsMemory
 from tramstream.processors.tram.start import first_deviations
 from tramstream.processors.tram.wheel import PairMemory
 from tramstream.processors.tram.wheels import WheelPair
@@ -133,10 +133,10 @@ class Navigation:
 
     def read(self, frame: SyncFrame) -> bool:
         """Take over the frame's inertial reading, or the bus' yaw rate; False without a reading."""
-        state = self.readings.read(frame, self.ekf)
-        if state is Became.STUCK:
+        became = self.readings.read(frame, self.ekf)
+        if became == FOUND_STUCK:
             self.wheels.trust_again(self.ekf)
-        return state is Became.TAKEN
+        return became == BELIEVED
 
     # One frame -----------------------------------------------------------------------------------
     def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:
