@@ -38,7 +38,12 @@ from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
 from tramstream.processors.tram_sources.course import Course, CourseMemory
 from tramstream.processors.tram_sources.divergence import Divergence, DivergenceMemory, Heard
 from tramstream.processors.tram_sources.gnss import Fixes, FixesMemory
-from tramstream.processors.tram_sources.readings import Became, Readings, ReadingsMemory
+from tramstream.processors.tram_sources.readings import (
+    BELIEVED,
+    FOUND_STUCK,
+    Readings,
+    ReadingsMemory,
+)
 from tramstream.processors.tram_sources.wheel import PairMemory
 from tramstream.processors.tram_sources.wheels import WheelPair
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -143,10 +148,10 @@ class Navigation:
 
     def read(self, frame: SyncFrame) -> bool:
         """Take over the frame's inertial reading, or the bus' yaw rate; False without a reading."""
-        state = self.readings.read(frame, self.ekf)
-        if state is Became.STUCK:
+        became = self.readings.read(frame, self.ekf)
+        if became == FOUND_STUCK:
             self.wheels.trust_again(self.ekf)
-        return state is Became.TAKEN
+        return became == BELIEVED
 
     # One frame -----------------------------------------------------------------------------------
     def run(self, frame: SyncFrame, standing: bool, noise: Array | None) -> list[Verdict]:

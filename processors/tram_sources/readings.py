@@ -9,7 +9,6 @@ Equations: docs/theory.md, sections 7.7 and 7.9.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from tramstream.processors.tram_filter.modes import (
     drive_without_reading,
 )
 from tramstream.processors.tram_model import axes
+from tramstream.processors.tram_model.axes import STUCK, TAKEN
 from tramstream.processors.tram_model.records import INERTIAL, READING_S, X, Z
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_sources.coasting import MotionNoise, NoiseMemory
@@ -46,13 +46,9 @@ beside what it has told; chosen by hand, guarded by `tests/processors/tram/test_
 AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
-class Became(Enum):
-    """What became of a frame's inertial reading."""
-
-    TAKEN = "taken"
-    ABSENT = "none, or not believed"
-    STUCK = "just found stuck"
-    DRAWN = "drawn through a gap"
+ABSENT, BELIEVED, FOUND_STUCK, DRAWN = range(4)
+"""What became of a frame's inertial reading: none or not believed, taken, just found stuck, drawn
+through a gap. Plain numbers, for it is asked a hundred times a second."""
 
 
 @dataclass
@@ -96,10 +92,10 @@ class Readings:
         self._noise = MotionNoise(vehicle, self.memory.noise)
         self._has_imu = imu is not None
 
-    def read(self, frame: SyncFrame, ekf: TramFilter) -> Became:
+    def read(self, frame: SyncFrame, ekf: TramFilter) -> int:
         """Take over the frame's inertial reading, or the bus' yaw rate."""
-        became = self._read_imu(frame.imu, ekf) if frame.HasField("imu") else Became.ABSENT
-        if became is not Became.ABSENT:
+        became = self._read_imu(frame.imu, ekf) if frame.HasField("imu") else ABSENT
+        if became != ABSENT:
             return became
         rates = [each for each in frame.odometry if each.HasField("yaw_rate_radps")]
         turns = bool(rates) and abs(rates[-1].yaw_rate_radps) < axes.FASTEST_RADPS
@@ -121,22 +117,22 @@ class Readings:
         self.memory.out_ns = until_ns
         self._coast(ekf)
 
-    def _read_imu(self, mean: ImuMean, ekf: TramFilter) -> Became:
+    def _read_imu(self, mean: ImuMean, ekf: TramFilter) -> int:
         memory = self.memory
         stamp_ns = mean.stamp_ns
         if stamp_ns < memory.out_ns:
-            return Became.ABSENT
+            return ABSENT
         dt = (stamp_ns - memory.read_ns) / S if memory.read_ns else 0.0
         drive = Drive.INERTIAL
         if dt > HELD_S:
             drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
         lasts = 0.0 if drive is Drive.COASTING else dt
         became = axes.take_reading(self.numbers, self._C_vb, *axes.scalars_of(mean), lasts)
-        if became == axes.STUCK:
-            return self._find_stuck(mean, ekf)
-        if became != axes.TAKEN:
+        if became != TAKEN:
+            if became == STUCK:
+                return self._find_stuck(mean, ekf)
             self._complaints.append(IMPOSSIBLE_READING(key=keys.IMU_BATCH.path))
-            return Became.ABSENT
+            return ABSENT
         if memory.stuck:
             memory.stuck = False
             self._complaints.append(IMU_LIVES(key=keys.IMU_BATCH.path))
@@ -145,7 +141,7 @@ class Readings:
             if self._straight[0] == axes.STRAIGHT_READINGS:
                 self._complaints.append(DRAWN_STRAIGHT(key=keys.IMU_BATCH.path))
             self._noise.follow_line(ekf, self.inertial["between"])
-            return Became.DRAWN
+            return DRAWN
         if drive is Drive.INERTIAL:
             self._noise.inertial(ekf)
         elif drive is Drive.BRIDGED:
@@ -153,9 +149,9 @@ class Readings:
         else:
             self._hold("between", ekf)
             self._noise.coast(ekf)
-        return Became.TAKEN
+        return BELIEVED
 
-    def _find_stuck(self, mean: ImuMean, ekf: TramFilter) -> Became:
+    def _find_stuck(self, mean: ImuMean, ekf: TramFilter) -> int:
         """Go on without an IMU that does not live, and doubt what it has told meanwhile."""
         repeats = self.inertial["repeats"][0]
         axis = int(repeats.argmax())
@@ -163,7 +159,7 @@ class Readings:
         value = axes.scalars_of(mean)[axis]
         self._complaints.append(IMU_STUCK(key=keys.IMU_BATCH.path, value=value, **facts))
         if self.memory.stuck:
-            return Became.ABSENT
+            return ABSENT
         self.memory.stuck = True
         lasted_s = float(repeats[axis]) * READING_S
         push = abs(float(self._now["specific_force"][0, X])) + STUCK_STD_MPS2
@@ -172,7 +168,7 @@ class Readings:
         for angle, rate in zip((Ix.ROLL, Ix.PITCH, Ix.YAW), rates, strict=True):
             ekf.widen(angle, lasted_s * rate + STUCK_STD_RAD)
         self._coast(ekf)
-        return Became.STUCK
+        return FOUND_STUCK
 
     def _coast(self, ekf: TramFilter) -> None:
         """Go on with nothing that tells of the motion."""

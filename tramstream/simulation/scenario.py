@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -133,7 +133,7 @@ class Wheels(Struct, frozen=True, kw_only=True):
     doors: bool = True
     motor_force: bool = True
     axle: Axle = Axle()
-    bogie: Literal["", front] = ""
+    bogie: Literal["", "front"] = ""
     """`wheels.bogie` of the configuration; those of a simulated body are on its first bogie."""
     stated_delay_s: float = 0.0
     """`wheels.delay_s` of the configuration; the truth is `timing.stamp_offset_s`."""
