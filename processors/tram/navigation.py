@@ -309,7 +309,8 @@ class Navigation:
         ekf, told = self.ekf, on_track
         east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
         n = told.normal_east, told.normal_north
-        across = ekf.apply(TrackDistance(*n, told.across_m, told.across_variance, gate))
+        across_m = told.across_m - self._inside_m2 * told.bend_per_m
+        across = ekf.apply(TrackDistance(*n, across_m, told.across_variance, gate))
         if across and not across[0].accepted:
             self._divergence.refuse_track(ekf.stamp_ns)
         memory.given += across

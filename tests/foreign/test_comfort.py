@@ -85,7 +85,7 @@ def test_package_that_cannot_be_imported_is_named_in_one_sentence(
 
 
 def test_processor_that_is_not_installed_is_refused_with_those_that_are(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"\$\.processors\[4\]: no processor is called 'comfort'"):
+    with pytest.raises(ConfigError, match=r"\$\.processors\[5\]: no processor is called 'comfort'"):
         config_file.parse(with_section(tmp_path, "", "comfort"), "x.toml", tmp_path)
     with pytest.raises(ConfigError, match=r"\$\.comfort: unknown field"):
         config_file.parse(with_section(tmp_path, "[comfort]\n"), "x.toml", tmp_path)

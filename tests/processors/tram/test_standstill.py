@@ -16,6 +16,7 @@ from tramstream.memory.stage import from_plain, to_plain
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.standstill import FAST_S, LOCKED_MPS, WHEELS_STILL_S, Standstill
 from tramstream.processors.tram_filter.events import WHEEL_DEAD
+from tramstream.processors.tram_model.records import READING_NUMBERS
 from tramstream.proto.sync_pb2 import SyncFrame
 
 SEEDS = range(1, 4)
@@ -41,7 +42,7 @@ class Drive:
         """Amplitude of the y gyroscope, rad/s; the forces shake with it."""
 
     def reading(self) -> Array:
-        u = np.zeros(10)
+        u = np.zeros(READING_NUMBERS)
         phase = math.tau * IDLING_HZ * self.time_s
         u[:3] = self.rng.normal(0.0, 1e-3, 3)
         u[3:6] = self.rng.normal(0.0, 2e-3, 3)
