@@ -12,6 +12,7 @@ from tramstream.estimation.localiser import TRACKING
 from tramstream.lines.line import built_in_line
 from tramstream.memory.stage import from_plain
 from tramstream.processor import Sample
+from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.tram.navigation import Navigation, NavigationMemory
 from tramstream.simulation import scenario
@@ -23,16 +24,17 @@ CHUNK = 250
 
 
 def ekf() -> list[Figure]:
-    """Measure the filter alone, and with all that is published.
+    """Measure the filter alone, with all that is published, and the configuration's check.
 
     `ekf_step_us`: prediction, lateral force, and the odometry and GNSS that fall into a step.
     `localisation_step_us`: the whole processor, standstill detection, prediction to now and two
-    messages included.
+    messages included. `configuration_check_us`: a frame through the check, which is to take less
+    than a hundredth of a core.
     """
     # IMU at 100 Hz, two wheels at 50 Hz, GNSS at 1 Hz.
     simulation = Simulation(built_in_line(), scenario.load("kaspar2023"), 1, RIDE_S)
-    made = list(frames(simulation, []))
-    whole = LocalisationFilter(simulation.vehicle)
+    made, vehicle = list(frames(simulation, [])), simulation.vehicle
+    whole = LocalisationFilter(vehicle)
     navigation: Navigation | None = None
     rest: list[Sample] = []
     for index, frame in enumerate(made):
@@ -41,7 +43,7 @@ def ekf() -> list[Figure]:
         if estimate is not None and estimate.mode == TRACKING and not estimate.standing:
             level = whole.localiser.level
             assert level is not None  # there is an estimate
-            navigation = Navigation(simulation.vehicle, level)
+            navigation = Navigation(vehicle, level)
             state = whole.localiser.snapshot()["navigation"]
             assert state is not None
             navigation.go_back(from_plain(NavigationMemory, state))
@@ -54,9 +56,17 @@ def ekf() -> list[Figure]:
         navigation.read(frame.message)
         navigation.run(frame.message, False, noise)
 
+    check_us = median_us(ConfigurationCheck(vehicle).step, made)
     return [
         Figure("ekf_step_us", median_us(step, rest), 15.0, False),
         Figure("localisation_step_us", median_us(lambda frame: whole.step(frame), rest)),
+        Figure("configuration_check_us", check_us, 100.0, False),
+        Figure(
+            "configuration_check_us",
+            median_us(ConfigurationCheck(vehicle).step, made),
+            100.0,
+            False,
+        ),
     ]
 
 
