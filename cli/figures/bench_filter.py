@@ -61,12 +61,6 @@ def ekf() -> list[Figure]:
         Figure("ekf_step_us", median_us(step, rest), 15.0, False),
         Figure("localisation_step_us", median_us(lambda frame: whole.step(frame), rest)),
         Figure("configuration_check_us", check_us, 100.0, False),
-        Figure(
-            "configuration_check_us",
-            median_us(ConfigurationCheck(vehicle).step, made),
-            100.0,
-            False,
-        ),
     ]
 
 

@@ -123,7 +123,7 @@ LEVER_ARM = define(
     "difference",
     cause="The antenna is elsewhere than is configured, or the vehicle's origin is not the point "
     "that does not slip sideways, between its bogies.",
-    cure="measure $.gnss.lever_arm_m again, and $.ekf.pivot_m",
+    cure="measure $.gnss.lever_arm_m again, and $.ekf.pivot_m and $.ekf.bogie_distance_m",
     direction=str,
     found_m=float,
     found_std_m=float,
