@@ -26,7 +26,7 @@ INTERRUPTED = 130
 
 PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
-    "Looking": ("top", "list", "echo", "hz", "bw", "info"),
+    "Looking": ("top", "list", "echo", "hz", "bw", "info", "config"),
     "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
     "Map": ("map",),
     "Figures": ("evaluate", "report", "reproduce", "bench"),

@@ -52,6 +52,7 @@ def replay(
     from tramstream.cli.terminal.keyboard import Keyboard
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.clock import S
+    from tramstream.errors import DamagedRecordError
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
 
@@ -79,8 +80,19 @@ def replay(
                 say(f"{'paused' if playing.paused else 'going on'} at {at_s:.1f} s")
 
         playing.run(stop, each)
-        figures = {"file": str(file), "vehicle": vehicle, "published": playing.published}
+        figures = {
+            "file": str(file),
+            "vehicle": vehicle,
+            "published": playing.published,
+            "skipped_s": playing.skipped_ns / S,
+            "damaged": record.damaged,
+        }
+        damaged = record.damaged
     print(json.dumps(figures)) if json_ else say(f"{playing.published} messages published")
+    if playing.skipped_ns:
+        say(f"{file}: pauses of more than a minute, {playing.skipped_ns / S:.0f} s, were left out")
+    if damaged:
+        raise DamagedRecordError(f"{damaged}; what could be proved right was replayed")
 
 
 def replay_bus(runtime_dir: Path, say: Callable[[str], None]) -> closing[ZenohBus]:

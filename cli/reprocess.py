@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from tramstream.analysis.evaluate.contradiction import Contradiction
+    from tramstream.errors import CheckFailedError
     from tramstream.recorder.reprocess.compare import Comparison
     from tramstream.recorder.reprocess.run import Rerun
 
@@ -45,19 +47,26 @@ def reprocess(
             "there is one (NEES, protection levels); status 1 where they contradict it.",
         ),
     ] = False,
+    with_inputs: Annotated[
+        bool,
+        typer.Option(
+            "--with-inputs",
+            help="Write also inputs, fixes and truth (all of raw/ but devices' bytes): one file "
+            "for a viewer.",
+        ),
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Run the processors over a record; --check holds them to what they did live.
 
-    --judge holds them to what they claim.
+    --judge holds them to what they claim. Log times of what is made are its stamps.
     """
     import json
     import time
 
-    from tramstream.boundary import left_out
     from tramstream.cli.terminal.session import make_room, say
-    from tramstream.errors import CheckFailedError, ConfigError
+    from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError
     from tramstream.recorder.reprocess.run import rerun
 
     if late not in ("as-recorded", "accept"):
@@ -66,7 +75,15 @@ def reprocess(
         raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
     make_room(out, [file], overwrite)
     started_s = time.perf_counter()
-    result = rerun(file, out, config, check, fresh or late == "accept", smooth)
+    result = rerun(
+        file,
+        out,
+        config,
+        check=check,
+        fresh=fresh or late == "accept",
+        smooth=smooth,
+        with_inputs=with_inputs,
+    )
     figures: dict[str, Any] = {"file": str(file), "out": str(out)}
     figures |= _figures(result, time.perf_counter() - started_s)
     against: list[Contradiction] = []
@@ -82,31 +99,51 @@ def reprocess(
             f"{file}: {result.duration_s:.1f} s in {figures['elapsed_s']:.2f} s "
             f"({figures['speed']:.0f} times real time), {result.outputs} outputs to {out}"
         )
+    for text in _remarks(file, result):
+        say(text)
+    for one in against:
+        say(f"{out}: {one}; {one.cure}")
+    failed = None
+    if result.comparison is not None:
+        failed = _compare(file, result, result.comparison, not json_)
+    if result.damaged:
+        raise DamagedRecordError(f"{result.damaged}; what could be proved right was reprocessed")
+    if failed is not None:
+        raise failed
+    if against:
+        raise CheckFailedError(f"{out}: contradicts what its filter claims ({against[0].figure})")
+
+
+def _remarks(file: Path, result: Rerun) -> Iterator[str]:
+    """What is to be known of a run, one sentence each."""
+    from tramstream.boundary import left_out
+
+    if result.changed:
+        yield f"{file}: settings differ from the record's own: {'; '.join(result.changed)}"
     if result.without_map:
-        say(
+        yield (
             f"{result.without_map}; localisation went on without the map "
             "(--config takes a configuration that names the file where it is now)"
         )
     if result.forgotten:
-        say(
+        yield (
             f"{file}: the record's memory was made with other settings, so the processors begin "
             f"afresh with the new ones ({result.forgotten} of {result.sessions} sessions)"
         )
     if result.unfit:
-        say(
+        yield (
             f"{file}: the record's memory is of other processors or of another version of them, so "
             f"they begin afresh ({result.unfit} of {result.sessions} sessions)"
         )
+    if result.paused_s:
+        yield (
+            f"{file}: nothing was recorded for {result.paused_s:.0f} s in pauses of more than a "
+            "minute; no time passed in them"
+        )
     if left_out_ := left_out(result.undecodable.items()):
-        say(f"{file}: {left_out_}, as live")
+        yield f"{file}: {left_out_}, as live"
     for path, count in result.missing.items():
-        say(f"{path}: {count} messages that the live processors read are not in the record")
-    for one in against:
-        say(f"{out}: {one}; {one.cure}")
-    if result.comparison is not None:
-        _compare(file, result, result.comparison, not json_)
-    if against:
-        raise CheckFailedError(f"{out}: contradicts what its filter claims ({against[0].figure})")
+        yield f"{path}: {count} messages that the live processors read are not in the record"
 
 
 def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
@@ -121,6 +158,10 @@ def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
         "inputs_missing": result.missing,
         "undecodable": result.undecodable,
         "sessions_afresh": result.forgotten + result.unfit,
+        "damaged": result.damaged,
+        "paused_s": result.paused_s,
+        "settings_changed": result.changed,
+        "copied": result.copied,
     }
     comparison = result.comparison
     if comparison is not None:
@@ -135,14 +176,10 @@ def _figures(result: Rerun, elapsed_s: float) -> dict[str, Any]:
     return figures
 
 
-def _compare(file: Path, result: Rerun, comparison: Comparison, aloud: bool) -> None:
-    """Say how outputs made again compare with those recorded live.
-
-    Raises
-    ------
-    CheckFailedError
-        If they are not the same.
-    """
+def _compare(
+    file: Path, result: Rerun, comparison: Comparison, aloud: bool
+) -> CheckFailedError | None:
+    """Say how outputs made again compare with those recorded live; what to raise if they differ."""
     from tramstream.cli.terminal.session import say
     from tramstream.errors import CheckFailedError
 
@@ -154,9 +191,10 @@ def _compare(file: Path, result: Rerun, comparison: Comparison, aloud: bool) -> 
             f"{comparison.unrecorded} outputs made again were not in the record; "
             f"{comparison.unanchored} recorded ones came after the last tick of a session that died"
         )
-    if not result.identical:
-        for text in comparison.differences:
-            say(text)
-        if comparison.compared == 0:
-            say(f"{file}: the record holds no outputs of processors to compare with")
-        raise CheckFailedError(f"{file}: reprocessing does not give what was recorded live")
+    if result.identical:
+        return None
+    for text in comparison.differences:
+        say(text)
+    if comparison.compared == 0:
+        say(f"{file}: the record holds no outputs of processors to compare with")
+    return CheckFailedError(f"{file}: reprocessing does not give what was recorded live")

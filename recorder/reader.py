@@ -19,6 +19,7 @@ from google.protobuf.message import Message
 
 from tramstream import boundary, keys
 from tramstream.boundary import Undecodable
+from tramstream.clock import S
 from tramstream.errors import RecordError
 from tramstream.recorder.file.found import Damage
 from tramstream.recorder.file.layout import Entry, entries_of
@@ -28,6 +29,10 @@ from tramstream.recorder.file.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
 
+PAUSE_NS = 60 * S
+"""Where nothing at all comes for longer, a record has a pause: a logger that was switched off, a
+clock that was set by years. No time passes in it: longer than any gap that a processor measures,
+and short enough for thousands of pauses in one record."""
 _FOREVER_NS = 1 << 64
 
 

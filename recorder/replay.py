@@ -9,7 +9,7 @@ from threading import Event
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.recorder.reader import Entry, Record
+from tramstream.recorder.reader import PAUSE_NS, Entry, Record
 from tramstream.transport.bus import Bus
 from tramstream.transport.resend import ENTRY_BYTES, LIMIT_BYTES
 
@@ -24,6 +24,8 @@ UNPACED_RATE_HZ = 20_000
 PORTION_BYTES = LIMIT_BYTES // 2
 """`--rate 0`: after so much the recorder gets time for it. What it missed can still be sent again:
 twice as much is kept (tests/test_pipeline.py)."""
+AFTER_NS = 10 * S
+"""Of a pause in the record so much is waited for: whoever measures silence notices it."""
 PORTION_S = 10.0
 """A recorder that stands still gets so long, once."""
 
@@ -55,6 +57,8 @@ class Replay:
     published: int = 0
     position_ns: int = 0
     """Log time of the last message published."""
+    skipped_ns: int = 0
+    """Of pauses, together."""
 
     def run(self, stop: Event, each: Callable[[], None]) -> None:
         """Publish until the end of the record, or of `stop`; `each` is called now and then."""
@@ -91,10 +95,15 @@ class Replay:
     ) -> Iterator[Entry]:
         """Hold every entry back until it is due."""
         begin_s = time.monotonic()
-        first_ns = 0
+        first_ns = before_ns = 0
         count = 0
         for entry in entries:
             first_ns = first_ns or entry.log_ns
+            if before_ns and entry.log_ns - before_ns > PAUSE_NS:
+                skipped_ns = entry.log_ns - before_ns - AFTER_NS
+                first_ns += skipped_ns
+                self.skipped_ns += skipped_ns
+            before_ns = entry.log_ns
             while not stop.is_set():
                 now_s = time.monotonic()
                 if self.paused:

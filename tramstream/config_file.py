@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tramstream import plugins
+from tramstream import plugins, toml_text
 from tramstream.config import MATCHER, Bus, Recorder, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
@@ -162,6 +162,41 @@ def _device(name: str, folder: Path) -> str:
 def to_json(vehicle: Vehicle) -> str:
     """A configuration as it goes into a record's metadata; `msgspec.json` reads it back."""
     return msgspec.json.encode(vehicle).decode()
+
+
+def to_toml(vehicle: Vehicle) -> str:
+    """A configuration as the text of a file that gives it again, every setting written out."""
+    return toml_text.document(_plain(vehicle))
+
+
+def differences(old: Vehicle, new: Vehicle) -> list[str]:
+    """Each setting of `new` that is another in `old`, a record's: its path and both values."""
+    return _differences(_plain(old), _plain(new), "$")
+
+
+def _plain(vehicle: Vehicle) -> dict[str, Any]:
+    """A configuration as its file has it: sections of strangers stand beside ours."""
+    plain: dict[str, Any] = msgspec.to_builtins(vehicle)
+    sections: dict[str, Any] = plain.pop(SECTIONS)
+    return plain | sections
+
+
+def _differences(old: Any, new: Any, path: str) -> list[str]:
+    if old == new:
+        return []
+    if isinstance(old, dict) and isinstance(new, dict):
+        return [
+            text
+            for name in dict.fromkeys((*old, *new))
+            for text in _differences(old.get(name), new.get(name), f"{path}.{name}")
+        ]
+    return [f"{path}: {_shown(old)} in the record, {_shown(new)} now"]
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "absent"
+    return "a section" if isinstance(value, dict) else toml_text.value_text(value)
 
 
 def digest(vehicle: Vehicle) -> str:

@@ -15,17 +15,16 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
-import json
 import re
 import textwrap
 from collections.abc import Collection, Iterator, Mapping
-from decimal import Decimal
 from typing import Any, Literal
 
 import msgspec
 import msgspec.inspect as types
 
 from tramstream.strict_toml import FILL_IN
+from tramstream.toml_text import key_text, value_text
 
 WIDTH = 100
 """Columns of the file."""
@@ -38,7 +37,6 @@ _UNBOUNDED = 1e9
 _QUOTED = re.compile(r"`[^`\n]*`")
 _NO_BREAK = "\0"
 """Stands for a blank at which no line may end."""
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _Shape = Literal["one", "named", "list"]
 
 
@@ -224,9 +222,9 @@ def _words(type_: types.Type) -> str:
     if isinstance(type_, types.BoolType):
         return "true or false"
     if isinstance(type_, types.LiteralType):
-        return _either([_toml(value) for value in type_.values])
+        return _either([value_text(value) for value in type_.values])
     if isinstance(type_, types.EnumType):
-        return _either([_toml(each.value) for each in type_.cls])
+        return _either([value_text(each.value) for each in type_.cls])
     if isinstance(type_, types.UnionType):
         some = [each for each in type_.types if not isinstance(each, types.NoneType)]
         return _either([_words(each) for each in some])
@@ -286,7 +284,7 @@ def _written(made: _Section, told: set[type]) -> Iterator[str]:
         yield from _prose(made.settings.__dict__.get("__doc__") or "")
     yield mark + (f"[[{made.path}]]" if made.shape == "list" else f"[{made.path}]")
     if made.tag:
-        yield f"{mark}{_key(made.tag[0])} = {_toml(made.tag[1])}"
+        yield f"{mark}{key_text(made.tag[0])} = {value_text(made.tag[1])}"
     found = settings_of(made.settings)
     for setting in found:
         if setting.section is None:
@@ -301,13 +299,13 @@ def _within(setting: Setting, outer: _Section, told: set[type]) -> Iterator[str]
     """The sections that a setting of `outer` stands for; commented out if they may be absent."""
     assert setting.section is not None
     given = outer.values.get(setting.name, setting.default)
-    path = f"{outer.path}.{_key(setting.name)}"
+    path = f"{outer.path}.{key_text(setting.name)}"
     live = outer.live and (
         setting.required or setting.name in outer.values or bool(setting.default)
     )
     each: list[tuple[str, Mapping[str, Any]]]
     if setting.shape == "named":
-        each = [(f"{path}.{_key(key)}", one) for key, one in (given or {FREE_NAME: {}}).items()]
+        each = [(f"{path}.{key_text(key)}", one) for key, one in (given or {FREE_NAME: {}}).items()]
     elif setting.shape == "list":
         each = [(path, one) for one in given or [{}]]
     else:
@@ -333,8 +331,8 @@ def _lines(setting: Setting, values: Mapping[str, Any], live: bool, explain: boo
     if explain:
         yield from _prose(setting.note)
     live = live and (setting.required or value != setting.default)
-    shown = _toml(FILL_IN if value is None else value)
-    line = f"{'' if live else '#'}{_key(setting.name)} = {shown}"
+    shown = value_text(FILL_IN if value is None else value)
+    line = f"{'' if live else '#'}{key_text(setting.name)} = {shown}"
     words = setting.words if value is None else _EVIDENT.sub("", setting.words, count=1)
     if not words or not explain:
         yield line
@@ -360,26 +358,3 @@ def _prose(text: str) -> Iterator[str]:
             break_on_hyphens=False,
         ):
             yield line.replace(_NO_BREAK, " ")
-
-
-def _key(name: str) -> str:
-    return name if _BARE_KEY.fullmatch(name) else _toml(name)
-
-
-def _toml(value: Any) -> str:
-    """A plain value in TOML; numbers without exponents, long ones in groups of three digits."""
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return f"{value:_}" if abs(value) >= 1_000_000 else str(value)
-    if isinstance(value, float):
-        text = format(Decimal(repr(value)), "f")
-        return text if "." in text or not text.strip("-").isdigit() else f"{text}.0"
-    if isinstance(value, Mapping):
-        inside = ", ".join(f"{_key(key)} = {_toml(each)}" for key, each in value.items())
-        return f"{{ {inside} }}" if inside else "{}"
-    if isinstance(value, list | tuple | set | frozenset):
-        return f"[{', '.join(_toml(each) for each in value)}]"
-    return str(value)

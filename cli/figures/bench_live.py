@@ -135,7 +135,7 @@ def reprocessing(path: Path, out: Path) -> list[Figure]:
 
     def run(check: bool) -> Rerun:
         out.unlink(missing_ok=True)
-        return rerun(path, out, None, check)
+        return rerun(path, out, None, check=check)
 
     checked = run(check=True)
     checked_s = median_s(lambda: run(check=True))

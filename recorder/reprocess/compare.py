@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,13 +11,26 @@ from tramstream.boundary import Undecodable
 
 SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP keeps 32 bits of the sequence number."""
+REORDERED = 10_000
+"""So many outputs of a key, 100 s of the quickest, wait for a recorded one; then there is none."""
 TOLD = 10
 """So many differences are described; the others are counted."""
+
+
+@dataclass(slots=True)
+class _Place:
+    """Of one key in one session, what has no counterpart yet, by its number."""
+
+    made: dict[int, bytes] = field(default_factory=dict)
+    expected: dict[int, bytes] = field(default_factory=dict)
 
 
 @dataclass
 class Comparison:
     """Feed both sides in any interleaving, then `close`.
+
+    Outputs are paired by their numbers: what processors name late between two ticks may be made
+    again in another order, with the numbers that it had.
 
     Per session and key the recorded outputs must be made again, all of them and equal. What we
     make and the record does not hold (the recorder started later, ended sooner, or lost it) is
@@ -33,53 +45,53 @@ class Comparison:
     difference_count: int = 0
 
     def __post_init__(self) -> None:
-        self._made: dict[tuple[int, str], deque[tuple[int, bytes]]] = {}
-        self._expected: dict[tuple[int, str], deque[tuple[int, bytes]]] = {}
+        self._places: dict[tuple[int, str], _Place] = {}
         self._latest_session = 0
 
     def expect(self, session: int, path: str, sequence: int, payload: bytes) -> None:
         """Take an output that the live run published."""
         self._latest_session = max(self._latest_session, session)
-        place = (session, path)
-        self._expected.setdefault(place, deque()).append((sequence, payload))
-        self._settle(place)
+        place = self._place(session, path)
+        ours = place.made.pop(sequence, None)
+        if ours is not None:
+            self._compare(path, sequence, ours, payload)
+        elif sequence in place.expected:
+            self._differ(_twice, path, sequence)
+        else:
+            place.expected[sequence] = payload
 
     def make(self, session: int, path: str, sequence: int, payload: bytes) -> None:
         """Take an output that was made again."""
-        place = (session, path)
-        self._made.setdefault(place, deque()).append((sequence & SEQUENCE_MASK, payload))
-        self._settle(place)
+        place, number = self._place(session, path), sequence & SEQUENCE_MASK
+        theirs = place.expected.pop(number, None)
+        if theirs is not None:
+            self._compare(path, number, payload, theirs)
+            return
+        place.made[number] = payload
+        if len(place.made) > REORDERED:
+            del place.made[next(iter(place.made))]
+            self.unrecorded += 1
 
     def close(self) -> None:
         """Account for what has no counterpart."""
-        for waiting in self._made.values():
-            self.unrecorded += len(waiting)
-        for (session, path), waiting in self._expected.items():
+        for (session, path), place in self._places.items():
+            self.unrecorded += len(place.made)
             if session < self._latest_session:
-                self.unanchored += len(waiting)
+                self.unanchored += len(place.expected)
             else:
-                for sequence, _ in waiting:
+                for sequence in place.expected:
                     self._differ(_missed, path, sequence)
 
-    def _settle(self, place: tuple[int, str]) -> None:
-        _, path = place
-        made = self._made.get(place)
-        expected = self._expected.get(place)
-        while made and expected:
-            ours, payload = made[0]
-            theirs, recorded = expected[0]
-            if ours < theirs:
-                made.popleft()
-                self.unrecorded += 1
-            elif ours > theirs:
-                expected.popleft()
-                self._differ(_missed, path, theirs)
-            else:
-                made.popleft()
-                expected.popleft()
-                self.compared += 1
-                if payload != recorded:
-                    self._differ(_describe, path, ours, payload, recorded)
+    def _place(self, session: int, path: str) -> _Place:
+        place = self._places.get((session, path))
+        if place is None:
+            place = self._places[session, path] = _Place()
+        return place
+
+    def _compare(self, path: str, sequence: int, ours: bytes, theirs: bytes) -> None:
+        self.compared += 1
+        if ours != theirs:
+            self._differ(_describe, path, sequence, ours, theirs)
 
     def _differ(self, describe: Callable[..., str], *arguments: Any) -> None:
         self.difference_count += 1
@@ -89,6 +101,10 @@ class Comparison:
 
 def _missed(path: str, sequence: int) -> str:
     return f"{path} sequence {sequence}: recorded, but not made again"
+
+
+def _twice(path: str, sequence: int) -> str:
+    return f"{path} sequence {sequence}: recorded twice"
 
 
 def _describe(path: str, sequence: int, payload: bytes, recorded: bytes) -> str:

@@ -7,7 +7,9 @@ care about the order (see `Processor.pacing`), so feeding what belongs to each t
 repeats the ride bit for bit: from the start of a session, or from the first snapshot in a part of
 a longer record.
 
-A record without ticks (imported, or made without processors) gets them from its log times.
+A record without ticks (imported, or made without processors) gets them from its log times. Time
+passes only where there are data: in a pause of more than a minute (a logger that was switched off,
+a clock that was set by years) ticks end after ten seconds, and go on with what comes next.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from tramstream.keys import Key
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
-from tramstream.recorder.reader import Entry, Record
+from tramstream.recorder.reader import PAUSE_NS, Entry, Record
 from tramstream.recorder.reprocess.plan import Plan, is_fresh
 from tramstream.recorder.reprocess.restarts import Spans
 
@@ -38,6 +40,10 @@ time of its publication: no longer ago than publishers keep (`transport.resend.S
 SYNTHETIC_TICK_NS = S // 10
 EARLY_NS = S
 """How far ahead of the horizon measurements are fed where no tick says what the live run had."""
+AFTER_NS = 10 * S
+"""So much time passes after what came last before a pause: silence is noticed, horizons pass it."""
+BEFORE_NS = 3 * S
+"""So much before what comes first after one: it must not look as if it came from the future."""
 _FOREVER_NS = 1 << 64
 _ORDER = attrgetter("log_ns", "channel_id", "sequence")
 _LOG_NS, _PUBLISH_NS = attrgetter("log_ns"), attrgetter("publish_ns")
@@ -56,6 +62,10 @@ class Shortfall(NamedTuple):
     """Per key path: inputs that the live processors had and the record does not."""
     undecodable: dict[str, int]
     """Per topic: messages that cannot be decoded; live they were left out as well."""
+    damaged: str = ""
+    """What of the record is damaged, one sentence; empty if nothing is known to be."""
+    paused_ns: int = 0
+    """In which nothing came and no time passed, together."""
 
 
 Expect = Callable[[int, str, int, bytes], None]
@@ -125,6 +135,7 @@ class Reprocessor:
         self._read = set(plan.read)
         self._log_ns = 0
         self._session = 0
+        self._paused_ns = 0
         self.missing: dict[str, int] = {}
         """Per key path: inputs that the live processors had and the record does not."""
 
@@ -135,7 +146,8 @@ class Reprocessor:
 
     @property
     def shortfall(self) -> Shortfall:
-        return Shortfall(self.missing, self._record.undecodable)
+        record = self._record
+        return Shortfall(self.missing, record.undecodable, record.damaged, self._paused_ns)
 
     def run(self) -> None:
         """Read the record, step the processors, hand out what they make."""
@@ -244,9 +256,16 @@ class Reprocessor:
             source = self._topics[entry.topic]
             if not isinstance(source, _Input):
                 continue
-            last_ns = entry.log_ns
+            before_ns, last_ns = last_ns, entry.log_ns
             if next_ns == 0:
                 next_ns = entry.log_ns + SYNTHETIC_TICK_NS
+            elif last_ns - before_ns > PAUSE_NS:
+                while next_ns <= before_ns + AFTER_NS:
+                    sequence += 1
+                    self._feed_until(next_ns, sequence)
+                    next_ns += SYNTHETIC_TICK_NS
+                self._paused_ns += last_ns - BEFORE_NS - next_ns
+                next_ns = last_ns - BEFORE_NS
             source.put(entry)
             while entry.log_ns > next_ns + EARLY_NS:
                 sequence += 1

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import msgspec
 
@@ -16,7 +17,9 @@ from tramstream.processor import Ordering, Processor, Smoothing
 from tramstream.recorder.file.writer import CHUNK_BYTES, RecordFile
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess import parallel
+from tramstream.recorder.reprocess.clocks import check_one_clock
 from tramstream.recorder.reprocess.compare import Comparison
+from tramstream.recorder.reprocess.inputs import copy_inputs
 from tramstream.recorder.reprocess.order import Output
 from tramstream.recorder.reprocess.plan import Plan, read_plan
 from tramstream.tracks import network as networks
@@ -42,6 +45,14 @@ class Rerun:
     the processors began afresh there."""
     unfit: int = 0
     """The same, of other processors than ours or of another version of them."""
+    damaged: str = ""
+    """What of the record is damaged, one sentence; what could be proved right was reprocessed."""
+    paused_s: float = 0.0
+    """Pauses of the record, in which no time passed; not in `duration_s`."""
+    changed: list[str] = field(default_factory=list)
+    """Settings that are others than the record's own, one sentence each."""
+    copied: int = 0
+    """Messages that were taken over from the record."""
 
     @property
     def identical(self) -> bool:
@@ -77,31 +88,35 @@ def _with_matcher(vehicle: Vehicle, text: str) -> Vehicle:
     return msgspec.structs.replace(vehicle, processors=(*vehicle.processors, MATCHER))
 
 
+class Wishes(TypedDict, total=False):
+    """How a record is reprocessed; nothing of it unless it is asked for."""
+
+    check: bool
+    """Compare with the outputs in the record."""
+    fresh: bool
+    """Begin with empty memory at the first message and use what came late."""
+    smooth: bool
+    """At the end, write also what smoothers say."""
+    with_inputs: bool
+    """Write also what the record has of inputs, fixes and truth."""
+
+
 def rerun(
-    source: Path,
-    out: Path,
-    config: Path | Vehicle | None,
-    check: bool = False,
-    fresh: bool = False,
-    smooth: bool = False,
+    source: Path, out: Path, config: Path | Vehicle | None, **wishes: Unpack[Wishes]
 ) -> Rerun:
-    """Reprocess `source` into `out`.
+    """Reprocess `source` into `out`; log times of what is made are its stamps.
 
     Parameters
     ----------
     config : Path, Vehicle or None
         Configuration to use instead of the record's own.
-    check : bool
-        Compare with the outputs in the record.
-    fresh : bool
-        Begin with empty memory at the first message and use what came late.
-    smooth : bool
-        At the end, write also what smoothers say; log times of that are its stamps.
+    wishes : Wishes
 
     Raises
     ------
     RecordError, ConfigError
     """
+    fresh, smooth = wishes.get("fresh", False), wishes.get("smooth", False)
     with open_record(source) as record:
         vehicle = config_file.load(config) if isinstance(config, Path) else config
         vehicle = vehicle or vehicle_of(record, source)
@@ -112,11 +127,14 @@ def rerun(
         shared = {registry.PROCESSORS: registry.joint(vehicle)}
         plan.settle(record, processors, {each: [each] for each in vehicle.running} | shared)
         plan.see_what_fits(processors)
-        if not any(_has(record, processor) for processor in processors):
+        inputs = {key.path for processor in processors for key in processor.inputs}
+        if not any(keys.split(topic)[1] in inputs for topic in record.channels):
             raise RecordError(f"{source}: holds no inputs of the processors; nothing to reprocess")
+        if not plan.anchored:
+            check_one_clock(record, inputs - {keys.SYNC_TICK.path})
         if smooth:
             _keep(processors)
-        comparison = Comparison() if check else None
+        comparison = Comparison() if wishes.get("check") else None
         metadata = {
             config_file.RECORD_ENTRY: config_file.to_json(vehicle),
             "reprocessed_from": source.name,
@@ -131,13 +149,14 @@ def rerun(
                 smoothed=smoothed.take if smooth else None,
             )
             shortfall = parallel.run(record, processors, plan, takers)
+            copied = copy_inputs(record, target, processors) if wishes.get("with_inputs") else 0
         if comparison is not None:
             comparison.close()
         return Rerun(
             outputs=outputs.count + smoothed.count,
             smoothed=smoothed.count,
             sessions=len(plan.sessions),
-            duration_s=(record.end_ns - record.start_ns) / S,
+            duration_s=(record.end_ns - record.start_ns - shortfall.paused_ns) / S,
             missing=shortfall.missing,
             undecodable={
                 keys.split(topic)[1] or topic: count
@@ -147,6 +166,10 @@ def rerun(
             without_map=_without_map(vehicle),
             forgotten=plan.forgotten,
             unfit=len(plan.unfit),
+            damaged=shortfall.damaged or record.damaged,
+            paused_s=shortfall.paused_ns / S,
+            changed=_changed(record, vehicle) if config is not None else [],
+            copied=copied,
         )
 
 
@@ -160,7 +183,7 @@ def _settings(record: Record, vehicle: Vehicle, given: bool) -> frozenset[str]:
 
 
 class _Writer:
-    """Appends outputs to `target`; readers put each in its place by its log time."""
+    """Appends outputs to `target`; readers put each in its place by its log time, its stamp."""
 
     def __init__(
         self, target: RecordFile, vehicle: str, comparison: Comparison | None = None
@@ -178,7 +201,8 @@ class _Writer:
             topic = topics.get(path)
             if topic is None:
                 topic = topics[path] = key.on(self._vehicle)
-            append(topic, key, payload, log_ns, log_ns, sample.sequence)
+            stamp_ns = sample.stamp_ns if sample.stamp_ns > 0 else log_ns
+            append(topic, key, payload, stamp_ns, stamp_ns, sample.sequence)
             if comparison is not None:
                 comparison.make(session, path, sample.sequence, payload)
 
@@ -219,6 +243,9 @@ def _without_map(vehicle: Vehicle) -> str:
     return ""
 
 
-def _has(record: Record, processor: Processor) -> bool:
-    paths = {key.path for key in processor.inputs}
-    return any(topic.split("/", 2)[-1] in paths for topic in record.channels)
+def _changed(record: Record, vehicle: Vehicle) -> list[str]:
+    """How `vehicle` differs from the configuration that the record was made with, if it has one."""
+    try:
+        return config_file.differences(vehicle_of(record, record.paths[0]), vehicle)
+    except ConfigError:
+        return []
