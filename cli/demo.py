@@ -56,12 +56,19 @@ def demo(
     config = folder / "demo.toml"
     config.write_text(configuration(folder, seed, add or ()))
     vehicle = load(config)
-    with fleet.running(Plan(vehicle, config, rate=rate), say) as run:
-        _watch(run, stop, duration_s, headless or json_)
-    parts = sorted((folder / "records").glob("*.mcap*"))
+    records = folder / "records"
+    try:
+        with fleet.running(Plan(vehicle, config, rate=rate), say, stop) as run:
+            _watch(run, stop, duration_s, headless or json_)
+    finally:
+        parts = sorted(records.glob("*.mcap*"))
+        if not parts and stop.is_set():  # ended before there was anything to keep
+            shutil.rmtree(folder, ignore_errors=True)
+    if not parts and stop.is_set():
+        raise KeyboardInterrupt
     if len(parts) != 1 or parts[0].suffix != ".mcap":
         raise DamagedRecordError(
-            f"the recorder left {len(parts)} files in {folder}/records and they were kept; "
+            f"the recorder left {len(parts)} files in {records} and they were kept; "
             "`tramstream recover` saves what is in them"
         )
     shutil.move(parts[0], target)

@@ -16,13 +16,15 @@ from typing import Any, NoReturn
 import typer
 
 from tramstream import __version__
+from tramstream.cli import start
+from tramstream.cli.start import Ending
 from tramstream.errors import TramstreamError
 from tramstream.shown import shown
 from tramstream.transport import zenoh_threads
 
 LEAVE_S = 1.0
-INTERRUPTED = 130
-"""What a shell reports for a program that Ctrl-C ended."""
+CTRL_C = 130
+"""What typer ends with after a KeyboardInterrupt, whatever signal that was."""
 
 PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
@@ -77,21 +79,31 @@ def make_app(only: str = "") -> typer.Typer:
     return app
 
 
-def main() -> None:
-    """Entry point of the console script."""
+def main(ending: Ending | None = None) -> NoReturn:
+    """Run what the command line says, and end the program.
+
+    Parameters
+    ----------
+    ending : Ending or None
+        Which signal has ended the program; None where nobody listens to any but Ctrl-C.
+    """
+    interrupted = ending or Ending()
     try:
         make_app(sys.argv[1] if len(sys.argv) > 1 else "")()
     except TramstreamError as error:
         print(shown(f"tramstream: {error}"), file=sys.stderr)
         leave(error.exit_status)
     except KeyboardInterrupt:
-        leave(INTERRUPTED)
+        leave(interrupted.status)
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):
             leave(0)  # the reader of our output has gone: `tramstream echo … | head`
+        if end.code == CTRL_C:
+            leave(interrupted.status)
         if end.code is None or isinstance(end.code, int):
             leave(end.code or 0)
         raise
+    leave(0)
 
 
 def leave(status: int) -> NoReturn:
@@ -111,4 +123,4 @@ def leave(status: int) -> NoReturn:
 
 
 if __name__ == "__main__":
-    main()
+    start.main(main)

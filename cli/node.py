@@ -23,5 +23,5 @@ def node(
 
     stop = stop_on_signals()
     if name in (registry.PROCESSORS, *plugins.names("processors")):
-        compilation.ensure(say)
+        compilation.ensure(say, stop=stop)
     run_node(name, config, stop)

@@ -67,6 +67,7 @@ def reprocess(
 
     from tramstream.cli.terminal.session import make_room, say
     from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError
+    from tramstream.machine import compilation
     from tramstream.recorder.reprocess.run import rerun
 
     if late not in ("as-recorded", "accept"):
@@ -74,6 +75,7 @@ def reprocess(
     if check and (fresh or late == "accept"):
         raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
     make_room(out, [file], overwrite)
+    compilation.ensure(say)
     started_s = time.perf_counter()
     result = rerun(
         file,

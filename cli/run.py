@@ -44,7 +44,7 @@ def run(
     options = [*(["--separate"] if separate else []), "--duration-s", REST]
     plan = Plan(vehicle, config, successor=(*command, *options))
     stop = stop_on_signals()
-    with fleet.running(plan, say) as run_:
+    with fleet.running(plan, say, stop) as run_:
         names = ", ".join(child.name for child in run_.children)
         if run_.took_over:
             say(

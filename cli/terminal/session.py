@@ -13,6 +13,8 @@ from types import FrameType
 from tramstream import config, keys
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError, ConfigError
+from tramstream.recorder.file.sink import ACTIVE
+from tramstream.recorder.file.storage import is_written
 from tramstream.shown import shown
 from tramstream.transport.bus import Bus, ZenohBus
 
@@ -25,10 +27,12 @@ def say(text: str) -> None:
 def make_room(out: Path, sources: Sequence[Path], overwrite: bool) -> None:
     """Delete `out` if it shall be replaced, unless it is, or lies in, one of the `sources`.
 
+    So is what a run that was killed has left of it (`OUT.active`).
+
     Raises
     ------
     ConfigError
-        If `out` would destroy what it is made from.
+        If `out` would destroy what it is made from, or somebody writes it.
     """
     target = out.resolve()
     for source in sources:
@@ -37,7 +41,17 @@ def make_room(out: Path, sources: Sequence[Path], overwrite: bool) -> None:
             raise ConfigError(
                 f"{out}: is what would be read, or lies in its folder; choose another --out"
             )
+    unfinished = out.with_name(out.name + ACTIVE)
+    if unfinished.exists():
+        if is_written(unfinished):
+            raise ConfigError(f"{unfinished}: is being written; end that program first")
+        if not overwrite:
+            raise ConfigError(
+                f"{unfinished}: was left by a program that was killed",
+                cure="--overwrite replaces it, `tramstream recover` makes a record of it",
+            )
     if overwrite:
+        unfinished.unlink(missing_ok=True)
         out.unlink(missing_ok=True)
 
 

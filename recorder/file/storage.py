@@ -105,4 +105,22 @@ class Storage:
         os.close(fd)
 
 
+def is_written(path: Path) -> bool:
+    """Whether a living process has the lock that `Storage.create` takes.
+
+    Raises
+    ------
+    OSError
+        If `path` cannot be read.
+    """
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(fd)
+    return False
+
+
 DISK = Storage()

@@ -308,6 +308,8 @@ class RecordFile:
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is None:
             self.close()
+        elif not (isinstance(kind, type) and issubclass(kind, Exception)):
+            self.discard()  # somebody ended the program: what stays would block its next run
         else:
             with suppress(RecordError):  # `recover` then finds all that was appended
                 self.flush()

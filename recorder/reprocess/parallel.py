@@ -56,6 +56,7 @@ without privileges Linux allows no more."""
 AHEAD = 5
 """Niceness of whoever reads: it is always ahead, and on two cores takes time from the followers."""
 JOIN_S = 10.0
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 KILLED = "the process that {} was killed; is there enough memory?"
 READING, FOLLOWING = "read the record", "ran the filter"
 
@@ -279,6 +280,10 @@ def _run_apart(
     answers.sink.close()
     try:
         return writing.write(made.source, answers.source)
+    except KeyboardInterrupt:
+        for process in processes:
+            process.terminate()
+        raise
     finally:
         made.source.close()
         answers.source.close()
@@ -336,13 +341,20 @@ def _fork(work: Callable[[], None], *others: Connection, niceness: int = 0) -> F
     def begin() -> None:
         os.nice(niceness)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipes' end tells this process to end
+        for each in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(each, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         for each in others:
             each.close()
         with suppress(BrokenPipeError):
             work()
 
     process = multiprocessing.get_context("fork").Process(target=begin, daemon=True)
-    process.start()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        process.start()  # it must not die of a signal with our handlers, and their trace
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return process
 
 

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -35,7 +36,11 @@ _COMPILER = "tramstream.processors.warm_up"
 Say = Callable[[str], None]
 
 
-def ensure(say: Say, compiler: Sequence[str] = (sys.executable, "-m", _COMPILER)) -> None:
+def ensure(
+    say: Say,
+    compiler: Sequence[str] = (sys.executable, "-m", _COMPILER),
+    stop: threading.Event | None = None,
+) -> None:
     """See to it that all kernels are compiled; says so when that has to be waited for.
 
     Parameters
@@ -44,24 +49,34 @@ def ensure(say: Say, compiler: Sequence[str] = (sys.executable, "-m", _COMPILER)
         Gets sentences for people.
     compiler : sequence of str
         Program that compiles; is given its number and how many there are.
+    stop : threading.Event or None
+        Set when somebody wants to end: what is compiled by then is kept.
 
     Raises
     ------
     MachineCodeError
         If they could not be compiled.
+    KeyboardInterrupt
+        After `stop`.
     """
+    stop = stop or threading.Event()
     here = machine_code.folder()
     for sentence in machine_code.refused():
         say(f"{sentence} (machine code is kept in {here})")
     if machine_code.whole():
         return
     with open(os.open(here / "run", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)) as turn:
-        _wait_for_others(turn, say)
+        _wait_for_others(turn, say, stop)
         if not machine_code.whole():
-            _compile(say, compiler)
+            _compile(say, compiler, stop)
 
 
-def _wait_for_others(turn: IO[str], say: Say) -> None:
+def _pause(stop: threading.Event) -> None:
+    if stop.wait(POLL_S):
+        raise KeyboardInterrupt
+
+
+def _wait_for_others(turn: IO[str], say: Say, stop: threading.Event) -> None:
     """Wait while another process compiles and gets on; the system frees the lock of a dead one."""
     told, files, since = False, -1, time.monotonic()
     while True:
@@ -76,7 +91,7 @@ def _wait_for_others(turn: IO[str], say: Say) -> None:
             if not told:
                 told = True
                 say("waiting for another tramstream that compiles the filters")
-            time.sleep(POLL_S)
+            _pause(stop)
         else:
             return
 
@@ -85,7 +100,7 @@ def _files() -> int:
     return sum(1 for _ in machine_code.folder().glob("*.nbc"))
 
 
-def _compile(say: Say, compiler: Sequence[str]) -> None:
+def _compile(say: Say, compiler: Sequence[str], stop: threading.Event) -> None:
     count = max(1, min(PROCESSES, len(os.sched_getaffinity(0))))
     say("compiling the filters for this machine; once, it takes about half a minute")
     errors = [tempfile.TemporaryFile(mode="w+") for _ in range(count)]  # noqa: SIM115
@@ -95,10 +110,14 @@ def _compile(say: Say, compiler: Sequence[str]) -> None:
             command = [*compiler, str(number), str(count)]
             running.append(
                 subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=error,
+                    process_group=0,  # Ctrl-C is for this process, which ends them
                 )
             )
-        _follow(running, say)
+        _follow(running, say, stop)
         if not machine_code.whole():
             raise MachineCodeError(_sentence([each.returncode for each in running], errors))
     finally:
@@ -110,7 +129,7 @@ def _compile(say: Say, compiler: Sequence[str]) -> None:
             error.close()
 
 
-def _follow(running: Sequence[subprocess.Popen[bytes]], say: Say) -> None:
+def _follow(running: Sequence[subprocess.Popen[bytes]], say: Say, stop: threading.Event) -> None:
     """Wait until one has gone through all kernels, or all have ended; tell how far they are."""
     start = said = time.monotonic()
     before = _files()
@@ -121,7 +140,7 @@ def _follow(running: Sequence[subprocess.Popen[bytes]], say: Say) -> None:
         if now - said >= SAY_AGAIN_S:
             said = now
             say(f"compiling the filters: {_files() - before} kernels in {now - start:.0f} s")
-        time.sleep(POLL_S)
+        _pause(stop)
 
 
 def _sentence(statuses: Sequence[int | None], errors: Sequence[IO[str]]) -> str:

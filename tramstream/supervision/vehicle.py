@@ -113,8 +113,12 @@ class Teller:
 
 
 @contextmanager
-def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
+def running(
+    plan: Plan, say: Callable[[str], None], stop: threading.Event | None = None
+) -> Iterator[Fleet]:
     """Start router and nodes, or take over those that live; end them in order at the end.
+
+    `stop` ends the wait for the compilation too, by KeyboardInterrupt.
 
     Raises
     ------
@@ -137,7 +141,7 @@ def running(plan: Plan, say: Callable[[str], None]) -> Iterator[Fleet]:
     voice: Voice | None = None
     try:
         if not supervisor.took_over:
-            compilation.ensure(safe_say)
+            compilation.ensure(safe_say, stop=stop)
         bus = supervisor.join(lambda: ZenohBus.connect(runtime_dir, clock))
         teller.bus = bus
         voice = Voice(bus, plan.vehicle.vehicle, safe_say, supervisor)
