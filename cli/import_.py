@@ -44,6 +44,14 @@ def import_(
             help="Withhold the tables' fixes for so long, so much after the first row; repeated.",
         ),
     ] = None,
+    offset_s: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--offset-s",
+            metavar="SOURCE=SECONDS",
+            help="Add so much to the times of gnss, imu or can, whose clocks differ; repeated.",
+        ),
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(help="Vehicle configuration for delays, scales and signals.")
     ] = None,
@@ -61,6 +69,7 @@ def import_(
     """
     import json
 
+    from tramstream.analysis.tables import clocks
     from tramstream.analysis.tables.captures import Imports
     from tramstream.analysis.tables.tables import Tables, parse_cut
     from tramstream.cli.terminal.session import make_room, say
@@ -82,7 +91,8 @@ def import_(
     if not sources:
         raise ConfigError("nothing to import; give --ubx, --nmea, --adis, --can or --mapping")
     make_room(out, sources, overwrite)
-    imports = Imports(config, vehicle, model)
+    offsets = dict(clocks.parse_offset(text) for text in offset_s or [])
+    imports = Imports(config, vehicle, model, offsets)
     if tables is not None:
         imports.tables(tables)
     receiver = ubx or nmea
@@ -94,6 +104,9 @@ def import_(
         chosen = imports.can(can, dbc, wheel or [])
         say(f"{can}: wheels {chosen}")
     result: dict[str, Any] = imports.write(out)
+    if nothing := _nothing_in(result, {"gnss": receiver, "imu": adis, "odometer": can}):
+        out.unlink()
+        raise ConfigError(*nothing)
     if json_:
         print(json.dumps(result))
         return
@@ -113,6 +126,29 @@ def import_(
         lines = result["malformed_lines"] - of_tables
         say(f"{can}: {lines} lines are no CAN frames and were left out")
     print(f"{out}: {sum(result['messages'].values())} messages")
+
+
+_CURES = {
+    "gnss": "is it a capture of UBX, NMEA or RTCM, at the receiver's baud rate? --adis and --can "
+    "take other devices'",
+    "imu": "is it in the framing of docs/imu-framing.md, and --model the right one?",
+    "odometer": "does the DBC describe this bus (`candump -L` writes the log), and --wheel name "
+    "signals that are on it?",
+}
+
+
+def _nothing_in(result: dict[str, Any], files: dict[str, Path | None]) -> tuple[str, str] | None:
+    """The sentence and the cure for a capture in which nothing decodes."""
+    for device, counters in result["devices"].items():
+        if counters["messages_decoded"]:
+            continue
+        rejected = f"{counters['frames_rejected']} frames rejected"
+        reasons = ", ".join(f"{n} {why}" for why, n in counters["rejected_by_reason"].items())
+        lines = result["malformed_lines"] if device == "odometer" else 0
+        told = [f"{rejected} ({reasons})" if reasons else rejected]
+        told += [f"{lines} lines are no CAN frames"] if lines else []
+        return f"{files[device]}: nothing in it decodes: {', '.join(told)}", _CURES[device]
+    return None
 
 
 def _told(table: dict[str, Any]) -> str:

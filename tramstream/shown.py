@@ -9,6 +9,12 @@ every width, stay. Whatever comes from the bus or a file goes through here befor
 from __future__ import annotations
 
 import unicodedata
+from datetime import UTC, datetime
+
+from tramstream.clock import S
+
+_LAST_S = 253_402_300_800
+"""Year 10000: what comes later has no date."""
 
 
 def shown(text: str, lines: bool = False) -> str:
@@ -49,3 +55,10 @@ def cell(value: object) -> object:
     Numbers are none and stay as they are, negative ones too.
     """
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
+
+
+def date(stamp_ns: int) -> str:
+    """An instant to the second; what has no date is told in seconds."""
+    if not 0 <= stamp_ns < _LAST_S * S:
+        return f"{stamp_ns / S:.0f} s"
+    return datetime.fromtimestamp(stamp_ns // S, UTC).strftime("%Y-%m-%d %H:%M:%S")

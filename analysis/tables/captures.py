@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from tramstream import config_file, keys
+from tramstream.analysis.tables import clocks
 from tramstream.analysis.tables.mapping import GnssTable
 from tramstream.analysis.tables.tables import Tables
 from tramstream.bridges.gnss.bridge import GnssBridge, epoch_times, unix_like_ns
@@ -52,7 +53,14 @@ class Item:
 class Imports:
     """Collects sources, then writes them as one record in the order of their times."""
 
-    def __init__(self, config: Path | None, vehicle: str, model: str) -> None:
+    def __init__(
+        self,
+        config: Path | None,
+        vehicle: str,
+        model: str,
+        offsets: Mapping[str, int] | None = None,
+    ) -> None:
+        self._offsets = offsets or {}
         self._configured = config is not None
         self._vehicle_id = vehicle
         self._use(config_file.load(config) if config is not None else Vehicle(vehicle="import"))
@@ -151,8 +159,18 @@ class Imports:
         frames = canframe.pack(group, path.name)
         self._items.append(Item(keys.ODO_FRAMES, frames, frames.stamp_ns, frames.stamp_ns, bridge))
 
+    def _shifted(self, item: Item) -> Item:
+        """A message on the record's clock; rows of tables are on it."""
+        offset_ns = self._offsets.get(clocks.name_of(item), 0)
+        if not offset_ns:
+            return item
+        at_ns = item.stamp_ns + offset_ns, item.arrival_ns + offset_ns
+        return replace(item, stamp_ns=at_ns[0], arrival_ns=at_ns[1])
+
     def write(self, out: Path) -> dict[str, Any]:
         """Step everything through the bridges and write it; return what came out."""
+        self._items = [self._shifted(item) for item in self._items]
+        clocks.check(self._items, self._offsets)
         self._items.sort(key=lambda item: item.arrival_ns)
         messages: dict[str, int] = {}
         published: dict[str, int] = {}

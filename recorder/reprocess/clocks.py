@@ -8,7 +8,6 @@ a chunk that lasts longer than `LONGEST_NS` is looked into.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
 
 from tramstream import keys
 from tramstream.clock import S
@@ -16,13 +15,12 @@ from tramstream.errors import RecordError
 from tramstream.recorder.file.layout import entries_of
 from tramstream.recorder.file.opened import Chunk, load
 from tramstream.recorder.reader import Record
+from tramstream.shown import date
 
 APART_NS = 3600 * S
 """Sources that are nearer than that were on one clock, one after the other perhaps."""
 LONGEST_NS = 600 * S
 _FOREVER_NS = 1 << 64
-_YEARS_NS = 253_402_300_800 * S
-"""Year 10000: what lies beyond has no date."""
 
 Span = tuple[int, int]
 
@@ -103,10 +101,3 @@ def _meet(one: list[Span], other: list[Span]) -> bool:
 
 def _told(spans: list[Span]) -> str:
     return f"from {date(spans[0][0])} to {date(spans[-1][1])}"
-
-
-def date(stamp_ns: int) -> str:
-    """An instant to the second, for people."""
-    if not 0 <= stamp_ns < _YEARS_NS:
-        return f"{stamp_ns / S:.0f} s"
-    return datetime.fromtimestamp(stamp_ns // S, UTC).strftime("%Y-%m-%d %H:%M:%S")
