@@ -89,6 +89,7 @@ def describe(record: Record, see: Callable[[Entry], None] | None = None) -> Desc
         if figures[entry.topic].type == Loss.DESCRIPTOR.full_name:
             loss = record.decode(entry)
             losses += [loss] if isinstance(loss, Loss) else []
+    record.check_outside()
     for loss in losses:
         topic = next((topic for topic in figures if _names(topic, loss.key)), None)
         if topic is not None:

@@ -24,7 +24,7 @@ from tramstream.errors import RecordError
 from tramstream.recorder.file.found import Damage
 from tramstream.recorder.file.layout import Entry, entries_of
 from tramstream.recorder.file.merge import in_order
-from tramstream.recorder.file.opened import File, load, open_file, schema_version
+from tramstream.recorder.file.opened import File, check_outside, load, open_file, schema_version
 from tramstream.recorder.file.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
@@ -120,6 +120,11 @@ class Record:
     def damages(self) -> list[tuple[Path, Damage]]:
         """Everything found damaged so far; chunks of a finished file are looked at when read."""
         return [(file.path, damage) for file in self.files for damage in file.damages]
+
+    def check_outside(self) -> None:
+        """Look also at what is not read for messages: see `damages` then."""
+        for file in self.files:
+            check_outside(file)
 
     @property
     def damaged(self) -> str:

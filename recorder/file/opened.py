@@ -30,7 +30,7 @@ from tramstream.recorder.file.layout import (
     read_copy,
     tally,
 )
-from tramstream.recorder.file.scan import scan
+from tramstream.recorder.file.scan import data_holds, scan
 from tramstream.recorder.file.summary import Contents, read_summary
 
 _DIGITS = 6
@@ -64,6 +64,8 @@ class File:
     start_ns: int = 0
     end_ns: int = 0
     finished: bool = False
+    data_end: int | None = None
+    """Where the summary says that the data end; None if the file was walked through."""
     damages: list[Damage] = field(default_factory=list)
     told: set[int] = field(default_factory=set)
     """Where chunks are whose damage is in `damages` already."""
@@ -90,6 +92,7 @@ def open_file(path: Path) -> File:
         summary = read_summary(source)
         if summary is not None:
             _by_summary(file, summary[0])
+            file.data_end = summary[1]
         else:
             _by_scan(file, scan(source))
     except RecordError:
@@ -140,6 +143,7 @@ def _by_scan(file: File, found: Scan) -> None:
             "it); check the name"
         )
     file.schemas, file.channels = found.schemas(), found.channels()
+    file.finished = found.finished
     file.damages = found.damages
     if file.source.locked:  # being written: what is not whole yet is not damaged
         end = file.source.size
@@ -199,6 +203,17 @@ def _by_guard(source: Source, place: ChunkIndex) -> Restored:
         return Restored(b"", whole=False)
     data = source.read(place.chunk_start_offset + head.data_offset, head.data_size)
     return decode_chunk(head, data, guard, cut=False)
+
+
+def check_outside(file: File) -> None:
+    """Look at the bytes outside of the chunks too, of a file that was opened by its summary.
+
+    They tell nothing that the summary does not tell, but a disk that changes them changes others.
+    """
+    if file.data_end is None or data_holds(file.source, file.data_end):
+        return
+    known = {damage.offset for damage in file.damages}
+    file.damages += [each for each in scan(file.source).damages if each.offset not in known]
 
 
 def schema_version(file: File) -> int | None:

@@ -45,7 +45,7 @@ from tramstream.recorder.file.layout import (
     tally,
 )
 from tramstream.recorder.file.places import DATA_END, Places
-from tramstream.recorder.file.summary import read_summary
+from tramstream.recorder.file.summary import read_end, read_summary
 
 _WINDOW_BYTES = 1 << 20
 _HEAD_BYTES = 64
@@ -65,6 +65,19 @@ _KINDS: dict[int, type[McapRecord]] = {
 def scan(source: Source) -> Scan:
     """Walk through `source`; see `Scan`."""
     return _Walk(source).run()
+
+
+def data_holds(source: Source, data_end: int) -> bool | None:
+    """Whether all bytes before `data_end` have the CRC-32 that stands there; None if none does."""
+    stated = source.read(data_end, DATA_END_BYTES)
+    if not stated.startswith(DATA_END):
+        return False
+    if stated.endswith(bytes(4)):
+        return None
+    crc = 0
+    for position in range(0, data_end, _WINDOW_BYTES):
+        crc = zlib.crc32(source.read(position, min(_WINDOW_BYTES, data_end - position)), crc)
+    return stated.endswith(struct.pack("<I", crc))
 
 
 class _Walk:
@@ -87,6 +100,8 @@ class _Walk:
         self.trusted = -1  # where a chunk follows its damaged guard
         self.chunked = False  # some chunk was kept
         self.ended = False  # past the end of data, in a summary that is not whole
+        self.data_end = source.size
+        """Where the end of the data stands, as the summary says or the walk has found it."""
 
     def run(self) -> Scan:
         found = self.found
@@ -94,7 +109,11 @@ class _Walk:
         if summary is not None:
             found.proved, self.end = summary
             self.hints = sorted(chunk.chunk_start_offset for chunk in found.proved.chunks)
+            self.data_end = self.end
+        end = read_end(self.source)
+        if end is not None:
             found.finished = True
+            self.end = min(self.end, end.footer)
         position = len(MAGIC)
         if self._read(0, position) != MAGIC:
             found.begins_well = False
@@ -106,21 +125,13 @@ class _Walk:
                 after = self._next(position + 1)
                 self._lost(position, after - position)
             position = after
-        if found.finished and not found.damages and not self._checksum_holds():
+        if end is not None and not end.whole:
+            what = "bytes of the summary are not as written"
+            found.damages.append(Damage(end.footer, 1, what))
+        if found.finished and not found.damages and data_holds(self.source, self.data_end) is False:
             what = "bytes outside of the messages are not as written"
-            found.damages.append(Damage(self.end, 1, what))
+            found.damages.append(Damage(self.data_end, 1, what))
         return found
-
-    def _checksum_holds(self) -> bool:
-        """Whether the data section has the CRC-32 that its end states (0 states none)."""
-        content = self._read(self.end + RECORD.size, 4)
-        if content == bytes(4):
-            return True
-        crc = 0
-        for position in range(0, self.end, _WINDOW_BYTES):
-            size = min(_WINDOW_BYTES, self.end - position)
-            crc = zlib.crc32(self._read(position, size), crc)
-        return content == struct.pack("<I", crc)
 
     def _read(self, offset: int, length: int) -> bytes:
         """Bytes of the file: of a walk's many short reads only some reach the disk."""
@@ -153,7 +164,8 @@ class _Walk:
         content = self._read(position + RECORD.size, length)
         if not self._take(opcode, position, content):
             return None
-        self.ended = self.ended or opcode == Opcode.DATA_END
+        if opcode == Opcode.DATA_END and not self.ended:
+            self.ended, self.data_end = True, position
         if not self.ended:
             self.found.good_end = after
         return after
@@ -166,6 +178,8 @@ class _Walk:
                 return self._message_index(position, content)
             case Opcode.DATA_END:
                 return len(content) == 4
+            case Opcode.FOOTER:  # a whole one stands where the walk ends (`read_end`)
+                return False
             case _ if opcode == COPY:
                 return self._copy(position, content)
             case _ if opcode not in _KINDS:

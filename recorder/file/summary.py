@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from io import BytesIO
+from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -144,11 +145,37 @@ class Contents:
         yield Opcode.METADATA_INDEX, self.metadata
 
 
+class End(NamedTuple):
+    """The end of a file that was finished, by whatever writer."""
+
+    footer: int
+    """Where the footer begins, and the summary, if there is one, ends."""
+    whole: bool
+    """Whether the checksum over summary and footer holds, if one is stated."""
+
+
+def read_end(source: Source) -> End | None:
+    """The footer that a finished file has in front of its last magic; None if there is none."""
+    tail = source.read(source.size - FOOTER_BYTES, FOOTER_BYTES)
+    if len(tail) < FOOTER_BYTES or not tail.endswith(MAGIC):
+        return None
+    place = source.size - FOOTER_BYTES
+    opcode, length = RECORD.unpack_from(tail)
+    footer = Footer.read(ReadDataStream(BytesIO(tail[RECORD.size :])))
+    if opcode != Opcode.FOOTER or length != 20 or footer.summary_start > place:
+        return None
+    if not footer.summary_crc:
+        return End(place, whole=True)
+    start = footer.summary_start or place
+    crc = zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(source.read(start, place - start)))
+    return End(place, crc == footer.summary_crc)
+
+
 def read_summary(source: Source) -> tuple[Contents, int] | None:
     """Contents of a finished file by its summary, and where its data section ends.
 
     None if there is no summary, its checksum does not hold (or there is none) or it does not say
-    where the messages are.
+    where the messages are and of which channels.
     """
     tail = source.read(source.size - FOOTER_BYTES, FOOTER_BYTES)
     if len(tail) < FOOTER_BYTES or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
@@ -166,9 +193,18 @@ def read_summary(source: Source) -> tuple[Contents, int] | None:
     contents.counts = {id_: n for id_, n in statistics.channel_message_counts.items() if n}
     contents.start_ns = statistics.message_start_time
     contents.end_ns = statistics.message_end_time
-    if contents.message_count != statistics.message_count:
+    if contents.message_count != statistics.message_count or not _describes_all(contents):
         return None
     return contents, start - DATA_END_BYTES
+
+
+def _describes_all(contents: Contents) -> bool:
+    """Whether the summary repeats the channels and schemas of its messages, as it need not."""
+    channels = contents.channels
+    return all(id_ in channels for id_ in contents.counts) and all(
+        not channel.schema_id or channel.schema_id in contents.schemas
+        for channel in channels.values()
+    )
 
 
 def _collect(body: bytes) -> tuple[Contents, Statistics | None]:
