@@ -92,6 +92,10 @@ def import_(
         raise ConfigError("nothing to import; give --ubx, --nmea, --adis, --can or --mapping")
     make_room(out, sources, overwrite)
     offsets = dict(clocks.parse_offset(text) for text in offset_s or [])
+    given = {"gnss": ubx or nmea, "imu": adis, "can": can}
+    for name in offsets:
+        if given[name] is None:
+            raise ConfigError(f"--offset-s {name}: nothing of it is imported; leave it out")
     imports = Imports(config, vehicle, model, offsets)
     if tables is not None:
         imports.tables(tables)
