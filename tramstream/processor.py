@@ -174,7 +174,8 @@ class Ordering(Protocol):
     """A processor that decides what is late; reprocessing tells it what was late live."""
 
     late_recorded: Mapping[tuple[str, int], LateSample] | None
-    """By (key path, publish_ns); None while live."""
+    """By (key path, publish_ns); what a processor made itself has none, and is there by its number,
+    negative. None while live."""
 
 
 @runtime_checkable

@@ -78,8 +78,8 @@ class Resampler(Processor):
     ----------
     vehicle : tramstream.config.Vehicle
     late_recorded : mapping or None
-        Reprocessing only: the late samples of the live run by (key path, publish_ns). What is in it
-        is late, whatever the horizon says.
+        Reprocessing only: the late samples of the live run by (key path, publish_ns), of its own
+        means by (key path, minus number). What is in it is late, whatever the horizon says.
     """
 
     name = "resampler"
@@ -233,7 +233,7 @@ class Resampler(Processor):
         return results
 
     def _late(self, path: str, sequence: int, publish_ns: int, stamp_ns: int) -> Sample:
-        recorded = (self.late_recorded or {}).get((path, publish_ns))
+        recorded = (self.late_recorded or {}).get((path, publish_ns or -sequence))
         late = LateSample()
         if recorded is not None:  # with the number that it had live, and where the horizon was
             late.CopyFrom(recorded)

@@ -38,6 +38,7 @@ class Plan:
 
     sessions: list[Session] = field(default_factory=list)
     late: dict[tuple[str, int], LateSample] = field(default_factory=dict)
+    """See `tramstream.processor.Ordering`."""
     skip: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     """Per key path: publication times (exclusive) of what the live processors never got or used."""
     recorder_lost: dict[str, int] = field(default_factory=dict)
@@ -144,8 +145,9 @@ def read_plan(record: Record, consumers: Collection[str]) -> Plan:
         elif isinstance(message, Snapshot):
             _see_snapshot(plan, message, entry.publish_ns)
         elif isinstance(message, LateSample):
-            if message.source_publish_ns:
-                plan.late[message.key, message.source_publish_ns] = message
+            # What a processor made itself has no publication: it is known by its number.
+            source = message.source_publish_ns or -message.source_sequence
+            plan.late[message.key, source] = message
         elif isinstance(message, Loss):
             _see_loss(plan, message)
     return plan

@@ -5,11 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
-from record_rides import CONFIG, drive, written
+from record_rides import CONFIG, batch, drive, wheels, written
 from scripted import START_NS, VEHICLE, ManualClock, Script, Sender
 
 from tramstream import keys
@@ -182,6 +183,36 @@ def test_pipes_smaller_than_what_goes_through_block_nobody(
     monkeypatch.setattr(apart, "PIPE_BYTES", 4096)
     result = again(monkeypatch, ride, tmp_path / "out.mcap", 2, check=True)
     assert result.identical
+
+
+# Late samples ------------------------------------------------------------------------------------
+@pytest.mark.parametrize("cores", [1, 2])
+def test_late_samples_are_the_same_in_whatever_order_they_are_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int
+) -> None:
+    """Between two ticks readings are fed before batches, whichever came first live."""
+    path, clock = tmp_path / "ride.mcap", ManualClock()
+    bus = LocalBus(clock)
+    sender = Sender(bus)
+
+    def messages() -> Iterator[Callable[[], None]]:
+        for step, send in enumerate(drive(sender, clock, range(STEPS // 2))):
+            yield send
+            if step in (150, 250):
+                for late in (90, 91, 92):
+                    yield partial(sender.send, keys.IMU_BATCH, batch(late))
+                    yield partial(sender.send, keys.ODO_WHEELS, wheels(late))
+
+    with written(path, bus):
+        processors = registry.make_processors(CONFIG)
+        ProcessorNode(registry.PROCESSORS, VEHICLE, bus, Script(*messages()), processors).run()
+    result = again(monkeypatch, path, tmp_path / "out.mcap", cores, check=True)
+    assert result.comparison is not None
+    assert result.comparison.differences == []
+    assert result.identical
+    with open_record(path) as record:
+        late = [message for _, message in record.decoded(lambda topic: topic.endswith("late"))]
+    assert {each.key for each in late} >= {keys.IMU_BATCH.path, keys.ODO_WHEELS.path}
 
 
 # Memory that is of no use -------------------------------------------------------------------------
