@@ -15,9 +15,8 @@ from tramstream.bridges.gnss.nmea import (
     Epoch,
     EpochAssembler,
     fix_of,
-    parse,
-    sentence_type,
 )
+from tramstream.bridges.gnss.nmea_sentences import parse, sentence_type
 from tramstream.memory.stage import copied
 from tramstream.proto.gnss_pb2 import GnssFix
 
