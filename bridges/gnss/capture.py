@@ -40,7 +40,8 @@ def read_times(data: bytes) -> list[tuple[int, int]]:
     likely = [step for step in steps if 0 < step <= _PAUSE_S * S]
     usual_ns = round(median(likely)) if likely else S
     moved_ns, out = 0, []
-    for (end, gps_ns), step in zip(times, [0, *steps], strict=True):
+    for at, (end, gps_ns) in enumerate(times):
+        step = steps[at - 1] if at else 0
         if step < 0:
             moved_ns += usual_ns - step
         out.append((end, unix_like_ns(gps_ns) + moved_ns))

@@ -10,6 +10,8 @@ from tramstream.proto.gnss_pb2 import GnssFix
 
 PLACE, NMEA_RANK, COMBINED, HIGH_RATE, NAVIGATION = range(1, 6)
 """Ranks: a place without a word on its quality, NMEA, several messages of UBX, HNR-PVT, NAV-PVT."""
+_CROWDED_NS = MS
+"""Fixes that came at one instant are told apart by nanoseconds; there are not so many."""
 _SAME_EPOCH_NS = S // 2
 """Times of one time of week that lie further apart are of two weeks."""
 
@@ -57,7 +59,7 @@ def stamp_after(
     """The stamp of a fix, later than its predecessor's unless times or arrivals go back."""
     if last is not None and rank > last.rank:
         last = replace(last, device_ns=None)  # its time may have been UTC
-    if last is not None and stamp_ns <= last.stamp_ns <= arrival_ns:
+    if last is not None and stamp_ns <= last.stamp_ns <= arrival_ns + _CROWDED_NS:
         before_ns = last.device_ns
         if device_ns is None or before_ns is None or device_ns >= before_ns:
             return last.stamp_ns + 1

@@ -1,9 +1,10 @@
 """NMEA sentences to position fixes, for receivers that speak nothing better.
 
 An epoch is what carries the same time of day: GGA or GNS (position, quality, height), RMC (date,
-speed, course, position), GLL (position), GST (deviations), and the untimed GSA and VTG that follow
-one of these; where it ends says `epochs.py`. Of several positions that of GGA or GNS counts, then
-RMC's, then GLL's; GLL is heeded only while there has been nothing better.
+speed, course, position), GLL (position), GST (deviations), ZDA (date), and the untimed GSA and VTG
+that follow one of these; where it ends says `epochs.py`. Of several positions that of GGA or GNS
+counts, then RMC's, then GLL's, which is heeded only where it is the first. GST and ZDA begin no
+epoch: where their time is that of the next one they belong to that.
 
 What a receiver does not say is not made up. The altitude of GGA is above the geoid: without the
 separation the ellipsoidal height stays absent, and without an altitude the fix is one of two
@@ -223,8 +224,8 @@ class EpochAssembler:
 
     _epoch: Epoch | None = None
     _end: EndOfEpoch = field(default_factory=EndOfEpoch)
-    _best_place: int = 0
-    """The best rank of a position that there has been."""
+    _early: dict[str, Sentence] = field(default_factory=dict)
+    """GST and ZDA of another time than that of the epoch under way."""
     _date: int = 0
     _days: int = 1
     _time_ns: int = 0
@@ -234,17 +235,17 @@ class EpochAssembler:
         """Take a sentence, return the epoch or epochs it completes."""
         out: list[Epoch] = []
         kind, time_ns = sentence.type, sentence.time_ns
-        rank = _PLACE_RANKS.get(kind, 0)
-        if kind == "GLL" and self._best_place > rank:
-            return out
         if kind in TIMED:
             if time_ns is None:
                 return out  # the receiver does not know the time yet
-            self._best_place = max(self._best_place, rank)
-            if self._epoch is None or self._epoch.time_of_day_ns != time_ns:
-                out += self.flush()
-                self._epoch = Epoch(time_ns, arrival_ns, size, arrival_ns)
-                self._end.begin()
+            same = self._epoch is not None and self._epoch.time_of_day_ns == time_ns
+            if not same and kind not in _PLACE_RANKS:
+                self._early[kind] = sentence
+                return out
+            if same and kind == "GLL":
+                return out  # it says the same again
+            if not same:
+                out += self._begin(time_ns, arrival_ns, size)
         if self._epoch is None or not self._end.room():
             return out  # an untimed sentence before the first timed one, or a stuck clock
         last = self._end.note(kind)
@@ -253,6 +254,17 @@ class EpochAssembler:
             self._epoch.last_arrival_ns = arrival_ns
             if last:
                 out += self.flush()
+        return out
+
+    def _begin(self, time_ns: int, arrival_ns: int, size: int) -> list[Epoch]:
+        """Begin another epoch; returns the one before, if it was not complete."""
+        out = self.flush()
+        self._epoch = Epoch(time_ns, arrival_ns, size, arrival_ns)
+        self._end.begin()
+        for each in self._early.values():
+            if each.time_ns == time_ns or each.type == "ZDA":
+                self._epoch.take(each)
+        self._early.clear()
         return out
 
     def flush(self) -> list[Epoch]:

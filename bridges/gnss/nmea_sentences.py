@@ -104,20 +104,20 @@ def _time(text: str) -> float:
 
 
 def _day(text: str) -> float:
-    """DDMMYY as the ordinal of a date; the day before the first, 000000, tells none."""
+    """DDMMYY as the ordinal of a date.
+
+    Firmware of which the weeks have overflown writes `2208-1`, and 000000 before it knows one: no
+    date, and the place beside it is right all the same.
+    """
     if not (text.isascii() and text.isdigit() and len(text) == 6):
-        raise _MalformedError(text)
-    day, month, year = int(text[:2]), int(text[2:4]), int(text[4:])
-    if day == 0 and month == 0:
         return math.nan
+    day, month, year = int(text[:2]), int(text[2:4]), int(text[4:])
     return _ordinal(year + (1900 if year >= _FIRST_OF_1900S else 2000), month, day)
 
 
 def _ordinal(year: int, month: int, day: int) -> float:
     midnight_ns = utc_ns(year, month, day, 0, 0, 0, 0)
-    if midnight_ns == 0:
-        raise _MalformedError(f"{year}-{month}-{day}")
-    return midnight_ns // (_DAY_S * S) + _UNIX_DAY
+    return midnight_ns // (_DAY_S * S) + _UNIX_DAY if midnight_ns else math.nan
 
 
 def _date_of_zda(words: list[str], values: dict[str, float]) -> None:
@@ -130,6 +130,8 @@ def _date_of_zda(words: list[str], values: dict[str, float]) -> None:
     day, month, year = map(int, parts)
     if day and month and year:
         values["date"] = _ordinal(year, month, day)
+        if math.isnan(values["date"]):
+            raise _MalformedError(",".join(parts))
 
 
 def _place(name: str, words: list[str], values: dict[str, float]) -> None:
