@@ -288,7 +288,9 @@ class GnssBridge(Processor):
         return out
 
     def _publish_epoch(self, epoch: nmea.Epoch) -> list[Sample]:
-        """The fix of a complete epoch of NMEA."""
+        """The fix of a complete epoch of NMEA; none where there is a better solution."""
+        if self.memory.rank > NMEA_RANK:
+            return []
         utc_ns = epoch.utc_ns
         fix = nmea.fix_of(epoch, self.config.max_accuracy_m)
         if epoch.date:

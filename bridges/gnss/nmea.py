@@ -262,7 +262,8 @@ class EpochAssembler:
         self._epoch = Epoch(time_ns, arrival_ns, size, arrival_ns)
         self._end.begin()
         for each in self._early.values():
-            if each.time_ns == time_ns or each.type == "ZDA":
+            told_ns = time_ns if each.time_ns is None else each.time_ns
+            if told_ns == time_ns or (each.type == "ZDA" and told_ns < time_ns):
                 self._epoch.take(each)
         self._early.clear()
         return out
