@@ -10,7 +10,7 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "worlds")
+WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds")
 
 
 def reproduce(
@@ -52,7 +52,11 @@ def reproduce(
     ] = 0.0,
     data: Annotated[
         Path | None,
-        typer.Option(help="drives: where they are; default ../shared/data/drives.", metavar="DIR"),
+        typer.Option(
+            help="drives, receivers: where they are; default ../shared/data/drives, "
+            "../shared/data/ubx.",
+            metavar="DIR",
+        ),
     ] = None,
     mappings: Annotated[
         Path | None, typer.Option(help="drives: of mapping files; default mappings.", metavar="DIR")
@@ -71,7 +75,7 @@ def reproduce(
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
-    matcher, or of the localisation in many worlds."""
+    matcher, of captured receivers, or of the localisation in many worlds."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError

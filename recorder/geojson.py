@@ -66,12 +66,12 @@ def _feature(kind: str, coordinates: Any, properties: dict[str, Any]) -> dict[st
 
 
 def _position(place: _Place) -> list[float]:
-    """Nine decimals of a degree are a tenth of a millimetre."""
-    return [
-        round(place.longitude_deg, 9),
-        round(place.latitude_deg, 9),
-        round(place.height_m, 4),
-    ]
+    """Nine decimals of a degree are a tenth of a millimetre; an unknown height is left out.
+
+    RFC 7946, section 3.1.1: a position of two numbers has none.
+    """
+    level = [round(place.longitude_deg, 9), round(place.latitude_deg, 9)]
+    return [*level, round(place.height_m, 4)] if math.isfinite(place.height_m) else level
 
 
 def _lines(places: list[_Place]) -> Iterator[list[_Place]]:
@@ -89,7 +89,7 @@ def _lines(places: list[_Place]) -> Iterator[list[_Place]]:
 def _places(record: Record, topic: str) -> Iterator[_Place]:
     for _, message in record.decoded(topic.__eq__):
         place = _of_fix(message) if isinstance(message, GnssFix) else _of_location(message)
-        values = (place.longitude_deg, place.latitude_deg, place.height_m) if place else (math.nan,)
+        values = (place.longitude_deg, place.latitude_deg) if place else (math.nan,)
         if place is not None and all(map(math.isfinite, values)):
             yield place
 
@@ -101,7 +101,7 @@ def _of_fix(fix: GnssFix) -> _Place | None:
         fix.stamp_ns,
         fix.longitude_deg,
         fix.latitude_deg,
-        fix.height_ellipsoid_m,
+        fix.height_ellipsoid_m if fix.HasField("height_ellipsoid_m") else math.nan,
         fix.horizontal_std_m,
         fix.vertical_std_m,
     )
@@ -120,5 +120,5 @@ def _of_location(location: Any) -> _Place | None:
         location.latitude,
         location.altitude,
         horizontal,
-        vertical,
+        vertical if math.isfinite(location.altitude) else None,
     )

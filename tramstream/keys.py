@@ -100,6 +100,9 @@ _PART = re.compile(r"\*|[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 # raw: what devices said -----------------------------------------------------------------------
 GNSS_BYTES = define("raw/gnss/bytes", raw_pb2.RawBytes, 5, "arrival", "Receiver's bytes as read")
 GNSS_FIX = define("raw/gnss/fix", gnss_pb2.GnssFix, 5, "epoch", "Position, velocity, time")
+GNSS_HIGH_RATE = define(
+    "raw/gnss/high_rate", gnss_pb2.GnssFix, 10, "epoch", "HNR-PVT beside NAV-PVT's fixes"
+)
 GNSS_LOCATION = define("raw/gnss/location", LocationFix, 5, "epoch", "The same fix for any viewer")
 GNSS_COVARIANCE = define(
     "raw/gnss/covariance", gnss_pb2.GnssCovariance, 5, "epoch", "Covariance of the fix, NED"
@@ -133,6 +136,27 @@ GNSS_ESF_INERTIAL = define(
 )
 GNSS_ESF_ALIGNMENT = define(
     "raw/gnss/esf_alignment", gnss_pb2.EsfAlignment, 1, "epoch", "Receiver's own mounting angles"
+)
+GNSS_INTERFERENCE = define(
+    "raw/gnss/interference", gnss_pb2.GnssInterference, 1, "arrival", "Jamming, spoofing, antenna"
+)
+GNSS_PROTECTION = define(
+    "raw/gnss/protection", gnss_pb2.GnssProtection, 1, "epoch", "Receiver's protection levels"
+)
+GNSS_BASELINE = define(
+    "raw/gnss/baseline", gnss_pb2.GnssBaseline, 1, "epoch", "From the reference station"
+)
+GNSS_DILUTION = define(
+    "raw/gnss/dilution", gnss_pb2.GnssDilution, 1, "epoch", "Dilution of precision"
+)
+GNSS_OSCILLATOR = define(
+    "raw/gnss/oscillator", gnss_pb2.GnssOscillator, 1, "epoch", "Receiver's own clock"
+)
+GNSS_CORRECTION = define(
+    "raw/gnss/correction", gnss_pb2.GnssCorrection, 1, "arrival", "Corrections, and their use"
+)
+GNSS_SPECTRUM = define(
+    "raw/gnss/spectrum", gnss_pb2.GnssSpectrum, 1, "arrival", "What the radio hears"
 )
 GNSS_FRAME = define(
     "raw/gnss/frame", gnss_pb2.UbxFrame, 1, "arrival", "UBX without a decoder, whole"

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
+from tramstream.bridges.gnss import events as receiver
 from tramstream.bridges.simulators import events as simulators
 from tramstream.estimation import events as fixes
 from tramstream.events import Kind
@@ -27,6 +28,7 @@ from tramstream.supervision import events as supervision
 
 TABLES: dict[ModuleType, str] = {
     live: "Nodes, their inputs and devices",
+    receiver: "Receivers and their lines",
     ekf: "Localisation",
     fixes: "Fixes that no localiser uses",
     tram: "The filter `tram`",

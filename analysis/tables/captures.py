@@ -13,7 +13,8 @@ from tramstream import config_file, keys
 from tramstream.analysis.tables import clocks
 from tramstream.analysis.tables.mapping import GnssTable
 from tramstream.analysis.tables.tables import Tables
-from tramstream.bridges.gnss.bridge import GnssBridge, epoch_times, unix_like_ns
+from tramstream.bridges.gnss.bridge import GnssBridge
+from tramstream.bridges.gnss.capture import read_times
 from tramstream.bridges.imu import framer as adis
 from tramstream.bridges.imu.bridge import ImuBridge
 from tramstream.bridges.odometer import candump
@@ -99,8 +100,7 @@ class Imports:
             self.vehicle.gnss, receiver_delay_s=0.0, baud_rate=NO_LINE_BAUD
         )
         bridge = GnssBridge(msgspec.structs.replace(self.vehicle, gnss=immediate))
-        times = [(end, unix_like_ns(gps_ns)) for end, gps_ns in epoch_times(data)]
-        for arrival_ns, piece in _timed_pieces(data, times):
+        for arrival_ns, piece in _timed_pieces(data, read_times(data)):
             message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
             self._items.append(Item(keys.GNSS_BYTES, message, arrival_ns, arrival_ns, bridge))
         self._bridges[bridge.name] = bridge
@@ -191,7 +191,8 @@ class Imports:
                 messages[path] = messages.get(path, 0) + 1
 
             log_ns = 0
-            for item in self._items:
+            last = {id(item.bridge): at for at, item in enumerate(self._items)}
+            for at, item in enumerate(self._items):
                 log_ns = item.arrival_ns
                 sequence = 1 + messages.get(item.key.path, 0)
                 stamp(item.message, item.stamp_ns, sequence)
@@ -199,6 +200,9 @@ class Imports:
                 write(raw, log_ns)
                 for sample in item.bridge.step(raw) if item.bridge is not None else ():
                     write(sample, log_ns)
+                if at == last.get(id(item.bridge)) and isinstance(item.bridge, GnssBridge):
+                    for sample in item.bridge.finish():
+                        write(sample, log_ns)
             devices = {}
             for name, bridge in self._bridges.items():
                 counters = bridge.device_counters()  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""GNSS bridge: a receiver's bytes to fixes, times, satellites and raw measurements.
+"""GNSS bridge: a receiver's bytes to fixes, times, satellites, raw measurements and its state.
 
 What is published does not depend on how the bytes were cut into reads and messages; stamps depend
 on the bytes and on the arrival of the read that completed each frame.
@@ -7,61 +7,67 @@ on the bytes and on the arrival of the read that completed each frame.
 any time is known, with its arrival less the receiver's delay. Keys whose instant is the arrival get
 just that. NMEA has a clock fit of its own, on UTC, because leap seconds may be unknown.
 
-**One fix an epoch.** Solutions have ranks: NAV-PVT and NAV-PVAT before HNR-PVT before NMEA. As soon
-as one has been seen, those of lower rank are no longer published as fixes, for they say the same
-thing twice, and HNR-PVT says it ahead of the NAV-PVT of an older epoch, which arrives later. It
-then goes out whole on `raw/gnss/frame`, so that nothing is lost. Of NAV-PVT and NAV-PVAT of one
-epoch the first counts. When a better solution takes over, its fixes are left out until they are
-newer than the last one published. So stamps on `raw/gnss/fix` strictly increase, unless the
-receiver's own time or the arrivals go backwards.
+**One fix an epoch.** Solutions have ranks: NAV-PVT and NAV-PVAT before HNR-PVT before what older
+receivers say in several messages (`combined.py`) before NMEA before a place without a word on its
+quality (NAV-POSLLH alone). As soon as one has been seen, those of lower rank are no longer
+published as fixes, for they say the same thing twice; HNR-PVT, which says it ahead of the NAV-PVT
+of an older epoch, then goes out on `raw/gnss/high_rate`. Of NAV-PVT and NAV-PVAT of one epoch, or
+one that comes twice, the first counts. When a better solution takes over, its fixes are left out
+until they are newer than the last one published. So stamps on `raw/gnss/fix` strictly increase,
+unless the receiver's own time or the arrivals go backwards.
 
 **Time for the fit.** NAV and HNR messages; RXM-RAWX (receiver's local time, a few milliseconds off)
 only where there are none of these.
+
+**The receiver's own words** on jamming and spoofing (SEC-SIG, MON-RF, MON-HW, NAV-STATUS) go out on
+`raw/gnss/interference`, and the worst of the last ten seconds stands in each fix, for whoever uses
+fixes.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Any
 
 from tramstream import keys
+from tramstream.bridges.gnss import combined, fix_stream, line, nmea, ubx
 from tramstream.bridges.gnss import messages as gnss_messages
-from tramstream.bridges.gnss import nmea, ubx
+from tramstream.bridges.gnss.builders import BUILDERS
 from tramstream.bridges.gnss.clock import (
-    MS,
     ArrivalClock,
     ArrivalMemory,
     GpsTimeline,
+    behind_ns,
     in_range,
-    leap_seconds_on,
+)
+from tramstream.bridges.gnss.combined import CombinationAssembler
+from tramstream.bridges.gnss.fix_stream import (
+    COMBINED,
+    HIGH_RATE,
+    NAVIGATION,
+    NMEA_RANK,
+    PLACE,
+    LastFix,
 )
 from tramstream.bridges.gnss.framer import NMEA, UBX, Frame, Framer, Rejected
+from tramstream.bridges.gnss.interference import Interference
 from tramstream.bridges.gnss.nmea import EpochAssembler
+from tramstream.bridges.gnss.nmea_sentences import TIMED, UNTIMED, parse, sentence_type
 from tramstream.bridges.gnss.ubx import UbxMessage
 from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.config import Gnss, Vehicle
 from tramstream.errors import ConfigError
+from tramstream.events.kinds import Event
 from tramstream.keys import Key
 from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.gnss_pb2 import GnssCovariance, GnssFix, UbxFrame
 from tramstream.proto.raw_pb2 import RawBytes
 
-_RANKS = {"NMEA": 1, "HNR-PVT": 2, "NAV-PVT": 3, "NAV-PVAT": 3}
-_NAVIGATION = 3
-
-
-@dataclass(frozen=True)
-class LastFix:
-    """What must be known of the fix that was published last."""
-
-    source: str
-    itow_ms: int
-    utc_ns: int
-    device_ns: int | None
-    """Its time by the clock that it was stamped with; None if another clock has taken over."""
-    stamp_ns: int
+_RANKS = {"HNR-PVT": HIGH_RATE, "NAV-PVT": NAVIGATION, "NAV-PVAT": NAVIGATION}
+_IN_THE_FIX = ("NAV-SOL", "NAV-VELNED", "NAV-POSECEF", "NAV-VELECEF", "NAV-EOE")
+"""Parts of a fix that say nothing else, and the end of an epoch."""
 
 
 @dataclass
@@ -70,9 +76,12 @@ class BridgeMemory:
 
     framer: Framer = field(default_factory=Framer)
     assembler: EpochAssembler = field(default_factory=EpochAssembler)
+    combinations: CombinationAssembler = field(default_factory=CombinationAssembler)
     timeline: GpsTimeline = field(default_factory=GpsTimeline)
     clock: ArrivalMemory = field(default_factory=ArrivalMemory)
     nmea_clock: ArrivalMemory = field(default_factory=ArrivalMemory)
+    interference: Interference = field(default_factory=Interference)
+    line: line.LineMemory = field(default_factory=line.LineMemory)
     reads: deque[tuple[int, int]] = field(default_factory=deque)
     """Of each read that is not settled: its end in the stream, its arrival."""
     decoded: int = 0
@@ -80,6 +89,8 @@ class BridgeMemory:
     rank: int = 0
     navigation_time: bool = False
     """Some NAV or HNR message has told the time."""
+    arrival_ns: int = 0
+    """Of the last read."""
     last_fix: LastFix | None = None
     covariance: GnssCovariance | None = None
 
@@ -95,8 +106,9 @@ class GnssBridge(Processor):
     outputs = (
         keys.GNSS_FIX,
         keys.GNSS_LOCATION,
+        keys.GNSS_HIGH_RATE,
         keys.GNSS_FRAME,
-        *dict.fromkeys(key for key, _ in gnss_messages.BUILDERS.values()),
+        *dict.fromkeys(key for key, _ in BUILDERS.values()),
     )
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -114,14 +126,31 @@ class GnssBridge(Processor):
         memory = self.memory
         raw: RawBytes = sample.message
         self._note_reads(raw, sample.stamp_ns)
+        frames = memory.framer.frames
+        out = self._take(memory.framer.feed(raw.data))
+        memory.line.note(raw.data, understood=memory.framer.frames > frames)
+        return out
+
+    def finish(self) -> list[Sample]:
+        """End of the bytes: what the framer still holds, and the epochs under way."""
+        memory = self.memory
+        out = self._take(memory.framer.flush())
+        for each in memory.combinations.flush():
+            out += self._publish_combination(each, memory.arrival_ns)
+        for epoch in memory.assembler.flush():
+            out += self._publish_epoch(epoch)
+        return out
+
+    def _take(self, items: list[Frame | Rejected]) -> list[Sample]:
+        memory = self.memory
         out: list[Sample] = []
         reads = memory.reads
-        for item in memory.framer.feed(raw.data):
+        for item in items:
             if isinstance(item, Rejected):
                 continue  # the framer keeps the count
-            while reads[0][0] <= item.end:
+            while reads and reads[0][0] <= item.end:
                 reads.popleft()
-            arrival_ns = reads[0][1]
+            arrival_ns = reads[0][1] if reads else memory.arrival_ns
             if item.protocol == UBX:
                 out += self._take_ubx(item, arrival_ns)
             elif item.protocol == NMEA:
@@ -129,7 +158,7 @@ class GnssBridge(Processor):
             else:
                 memory.decoded += 1  # corrections on their way back: in the raw bytes, nowhere else
         while reads and reads[0][0] <= memory.framer.position:
-            reads.popleft()
+            memory.arrival_ns = reads.popleft()[1]
         return out
 
     def _note_reads(self, raw: RawBytes, stamp_ns: int) -> None:
@@ -157,26 +186,26 @@ class GnssBridge(Processor):
             memory.refused[message.reason] += 1
             return []
         name = message.name
-        gps_ns = self.timeline.of(message)
+        gps_ns = self.timeline.of(message, arrival_ns)
         if gps_ns is not None and self._tells_time(name):
             self.clock.add(gps_ns, arrival_ns, len(frame.raw))
         if name in _RANKS:
             return self._take_solution(message, frame, gps_ns, arrival_ns)
-        if name == "NAV-POSLLH" and memory.rank == _NAVIGATION:
-            memory.decoded += 1
-            return []  # the same position as in the fix
-        made = gnss_messages.BUILDERS.get(name)
-        if made is None:
-            if name == "NAV-EOE":
-                memory.decoded += 1
-                return []
+        made = BUILDERS.get(name)
+        if made is None and name not in _IN_THE_FIX:
             return self._whole(frame, arrival_ns)
         memory.decoded += 1
+        out = self._take_part(message, gps_ns, arrival_ns)
+        if made is None or (name == "NAV-POSLLH" and memory.rank == NAVIGATION):
+            return out  # the same position as in the fix
         key, build = made
-        out = self.emit(key, build(message, gps_ns), self._stamp(key, gps_ns, arrival_ns))
+        built = build(message, gps_ns)
+        if key == keys.GNSS_INTERFERENCE and not memory.interference.take(built, arrival_ns):
+            return out
+        sample = self.emit(key, built, self._stamp(key, gps_ns, arrival_ns))
         if name == "NAV-COV":
-            memory.covariance = out.message
-        return [out]
+            memory.covariance = sample.message
+        return [*out, sample]
 
     def _tells_time(self, name: str) -> bool:
         """Whether the arrival of message `name` may enter the clock fit."""
@@ -204,72 +233,103 @@ class GnssBridge(Processor):
     ) -> list[Sample]:
         """NAV-PVT, NAV-PVAT and HNR-PVT."""
         memory = self.memory
-        rank = _RANKS[message.name]
-        if rank < memory.rank:
-            return self._whole(frame, arrival_ns)
         memory.decoded += 1
+        rank = _RANKS[message.name]
         fix = gnss_messages.fix(message, gps_ns, self.config.max_accuracy_m)
-        last = memory.last_fix
-        told = (
-            last is not None
-            and last.itow_ms == fix.itow_ms
-            and last.source != fix.source
-            and _RANKS[last.source] == rank
-        )
-        out = [] if told else self._publish(fix, self.clock, gps_ns, arrival_ns)
+        if rank < memory.rank:
+            memory.interference.mark(fix, arrival_ns)
+            return [self.emit(keys.GNSS_HIGH_RATE, fix, self.clock.stamp(gps_ns, arrival_ns))]
+        out: list[Sample] = []
+        if not fix_stream.is_told(memory.last_fix, fix, rank, frame.payload):
+            instant = self.clock, gps_ns, arrival_ns
+            out = self._publish(fix, rank, instant, frame.payload)
         if message.name == "NAV-PVAT":
             attitude = gnss_messages.attitude_of_pvat(message, gps_ns)
             stamp_ns = self._stamp(keys.GNSS_ATTITUDE, gps_ns, arrival_ns)
             out.append(self.emit(keys.GNSS_ATTITUDE, attitude, stamp_ns))
         return out
 
+    def _take_part(self, message: UbxMessage, gps_ns: int | None, arrival_ns: int) -> list[Sample]:
+        """What is only a part of a fix, and the fixes that it completes."""
+        assembler = self.memory.combinations
+        epochs: list[combined.Combination] = []
+        if message.name == "NAV-EOE":
+            epochs = assembler.flush()
+        elif message.name in combined.PARTS and self.memory.rank < HIGH_RATE:
+            epochs = assembler.feed(message, gps_ns, arrival_ns)
+        return [each for e in epochs for each in self._publish_combination(e, arrival_ns)]
+
+    def _publish_combination(self, epoch: combined.Combination, arrival_ns: int) -> list[Sample]:
+        """The fix of receivers before NAV-PVT; none where there is a better solution."""
+        rank = COMBINED if epoch.is_judged else PLACE
+        if rank < self.memory.rank:
+            return []
+        fix = combined.fix_of(epoch, self.config.max_accuracy_m)
+        leap_seconds = self.timeline.leap_seconds
+        if epoch.gps_ns is not None and leap_seconds is not None and not fix.utc_ns:
+            fix.utc_ns = epoch.gps_ns + (GPS_EPOCH_UNIX_S - leap_seconds) * S
+        arrival_ns = min(epoch.first_arrival_ns, arrival_ns)
+        return self._publish(fix, rank, (self.clock, epoch.gps_ns, arrival_ns))
+
     def _take_nmea(self, frame: Frame, arrival_ns: int) -> list[Sample]:
         memory = self.memory
-        kind = nmea.sentence_type(frame)
-        if memory.rank > _RANKS["NMEA"] or kind not in nmea.TIMED + nmea.UNTIMED:
+        kind = sentence_type(frame)
+        if memory.rank > NMEA_RANK or kind not in TIMED + UNTIMED:
             memory.decoded += 1
             return []
-        sentence = nmea.parse(frame)
+        sentence = parse(frame)
         if isinstance(sentence, Rejected):
             memory.refused[sentence.reason] += 1
             return []
         memory.decoded += 1
         out: list[Sample] = []
         for epoch in memory.assembler.feed(sentence, arrival_ns, len(frame.raw)):
-            utc_ns = epoch.utc_ns
-            fix = nmea.fix_of(epoch, self.config.max_accuracy_m)
-            if epoch.date:
-                fix.utc_ns = utc_ns
-                if self.timeline.leap_seconds is not None:
-                    leap_s = self.timeline.leap_seconds
-                    fix.gps_time_ns = utc_ns + (leap_s - GPS_EPOCH_UNIX_S) * S
-            self.nmea_clock.add(utc_ns, epoch.first_arrival_ns, epoch.first_size)
-            out += self._publish(fix, self.nmea_clock, utc_ns, epoch.first_arrival_ns)
+            out += self._publish_epoch(epoch)
         return out
 
+    def _publish_epoch(self, epoch: nmea.Epoch) -> list[Sample]:
+        """The fix of a complete epoch of NMEA; none where there is a better solution."""
+        if self.memory.rank > NMEA_RANK:
+            return []
+        utc_ns = epoch.utc_ns
+        fix = nmea.fix_of(epoch, self.config.max_accuracy_m)
+        if epoch.date:
+            utc_ns += behind_ns(utc_ns, epoch.first_arrival_ns)
+            fix.utc_ns = utc_ns
+            if self.timeline.leap_seconds is not None:
+                leap_s = self.timeline.leap_seconds
+                fix.gps_time_ns = utc_ns + (leap_s - GPS_EPOCH_UNIX_S) * S
+        self.nmea_clock.add(utc_ns, epoch.first_arrival_ns, epoch.first_size)
+        return self._publish(fix, NMEA_RANK, (self.nmea_clock, utc_ns, epoch.first_arrival_ns))
+
     def _publish(
-        self, fix: GnssFix, clock: ArrivalClock, device_ns: int | None, arrival_ns: int
+        self,
+        fix: GnssFix,
+        rank: int,
+        instant: tuple[ArrivalClock, int | None, int],
+        payload: bytes = b"",
     ) -> list[Sample]:
-        """Publish a fix, and where it is valid its location."""
+        """Publish a fix, and where it is valid its location.
+
+        `instant` is the clock that stamps it, its time by that clock, its arrival.
+        """
         memory = self.memory
-        rank = memory.rank = _RANKS[fix.source]
-        stamp_ns = clock.stamp(device_ns, arrival_ns)
+        clock, device_ns, arrival_ns = instant
+        memory.rank = max(rank, memory.rank)
         last = memory.last_fix
-        if last is not None and rank > _RANKS[last.source]:
-            behind_ns = last.utc_ns - fix.utc_ns
-            if fix.utc_ns and -MS <= behind_ns < ArrivalClock.REORDERED_NS:
-                return []  # the solution it takes over from has told of a newer epoch
-            last = replace(last, device_ns=None)  # its time may have been UTC
-        if last is not None and stamp_ns <= last.stamp_ns <= arrival_ns:
-            before_ns = last.device_ns
-            if device_ns is None or before_ns is None or device_ns >= before_ns:
-                stamp_ns = last.stamp_ns + 1
-        memory.last_fix = LastFix(fix.source, fix.itow_ms, fix.utc_ns, device_ns, stamp_ns)
+        if fix_stream.takes_over_early(last, fix, rank):
+            return []  # the solution it takes over from has told of a newer epoch
+        stamp_ns = clock.stamp(device_ns, arrival_ns)
+        stamp_ns = fix_stream.stamp_after(last, rank, stamp_ns, device_ns, arrival_ns)
+        memory.last_fix = LastFix(
+            fix.source, rank, fix.itow_ms, fix.utc_ns, device_ns, stamp_ns, payload
+        )
+        memory.interference.mark(fix, arrival_ns)
         out = [self.emit(keys.GNSS_FIX, fix, stamp_ns)]
         if fix.valid:
             known_covariance = memory.covariance
             if known_covariance is not None and (
-                rank != _NAVIGATION or known_covariance.itow_ms != fix.itow_ms
+                rank not in (COMBINED, NAVIGATION) or known_covariance.itow_ms != fix.itow_ms
             ):
                 known_covariance = None
             location = gnss_messages.location(fix, known_covariance)
@@ -310,72 +370,9 @@ class GnssBridge(Processor):
             counters["clock_residual_s"] = fit.residual_ns / S
         return counters
 
-
-def unix_like_ns(gps_time_ns: int) -> int:
-    """GPS time as the vehicle clock of an imported capture: since 1970, leap seconds included."""
-    return gps_time_ns + GPS_EPOCH_UNIX_S * S
-
-
-def epoch_times(data: bytes) -> list[tuple[int, int]]:
-    """GPS times in a capture that has no arrival times, for assigning arrivals to its pieces.
-
-    Week and leap seconds may come late in a capture: they are looked for first. Where no message
-    tells the leap seconds, the date does. A time older than its predecessor (NAV-PVT behind the
-    HNR-PVT of a later epoch) is left out, unless it is so by more than `JUMP_BACK_S`.
-
-    Returns
-    -------
-    list of tuple
-        Place in `data` just behind a frame, and GPS time of its epoch, ns since 1980-01-06.
-    """
-    framer = Framer()
-    frames = [item for item in framer.feed(data) + framer.flush() if isinstance(item, Frame)]
-    messages = [(frame.end + 1, ubx.decode(frame)) for frame in frames if frame.protocol == UBX]
-    timeline = GpsTimeline()
-    for _, message in messages:
-        if not isinstance(message, Rejected):
-            timeline.of(message)
-        if timeline.reference_ns is not None and timeline.leap_seconds is not None:
-            break
-    leap_seconds = timeline.leap_seconds
-    times = [
-        (end, gps_ns)
-        for end, message in messages
-        if not isinstance(message, Rejected) and (gps_ns := timeline.of(message)) is not None
-    ]
-    times += _nmea_times(frames, leap_seconds)
-    times.sort(key=lambda time: time[0])
-    return _never_back(times)
-
-
-JUMP_BACK_S = 2
-"""A receiver's time that falls back this far has jumped."""
-
-
-def _nmea_times(frames: list[Frame], leap_seconds: int | None) -> list[tuple[int, int]]:
-    """GPS times of NMEA epochs with a date, at their first sentence."""
-    assembler = EpochAssembler()
-    epochs: list[tuple[int, nmea.Epoch]] = []
-    for frame in frames:
-        if frame.protocol != NMEA or nmea.sentence_type(frame) not in ("GGA", "GNS", "RMC", "ZDA"):
-            continue
-        sentence = nmea.parse(frame)
-        if not isinstance(sentence, Rejected):
-            place = frame.end + 1  # taken for the arrival
-            epochs += [(e.first_arrival_ns, e) for e in assembler.feed(sentence, place, 0)]
-    epochs += [(epoch.first_arrival_ns, epoch) for epoch in assembler.flush()]
-    times: list[tuple[int, int]] = []
-    for end, epoch in epochs:
-        if epoch.date:
-            leap_s = leap_seconds_on(epoch.utc_ns) if leap_seconds is None else leap_seconds
-            times.append((end, epoch.utc_ns + (leap_s - GPS_EPOCH_UNIX_S) * S))
-    return times
-
-
-def _never_back(times: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    kept: list[tuple[int, int]] = []
-    for end, gps_ns in times:
-        late_ns = kept[-1][1] - gps_ns if kept else 0
-        if late_ns <= 0 or late_ns > JUMP_BACK_S * S:
-            kept.append((end, gps_ns))
-    return kept
+    def device_troubles(self) -> list[Event]:
+        """What is wrong now with the line, and what the receiver says of its signals."""
+        memory = self.memory
+        wrong = line.judge(memory.line, self.config.baud_rate)
+        found = [] if wrong is None else [wrong]
+        return found + memory.interference.troubles(memory.arrival_ns)

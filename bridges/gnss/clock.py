@@ -5,6 +5,10 @@ messages carry only the time of week; the week comes from the last message that 
 roll of the week between two messages is of no consequence. A UTC date gives the week without the
 leap seconds, which are believed only where the receiver says that they are valid.
 
+A receiver that has not found its place tells the day that its clock was built, or with which its
+week counter began: dates before GPS was complete are none. One that is older than its firmware's
+idea of weeks is 1024 weeks back; its leap seconds, or a vehicle clock that knows the year, tell.
+
 `ArrivalClock` maps a device's time to the vehicle clock with `ClockFit`, by the definition
 arrival = epoch + receiver delay + line time + waiting, waiting ≥ 0.
 """
@@ -28,6 +32,15 @@ _LAST_WEEK = 8871
 """Of 2150: a later one is garbage, and its nanoseconds would soon not fit into 64 bits."""
 _LATEST_NS = 2**63 - 1
 
+FIRST_DAY = date(1995, 1, 1).toordinal()
+"""GPS was complete in 1995, and nobody has built a receiver for vehicles before: an earlier date is
+no date."""
+_FIRST_NS = ((FIRST_DAY - 719_163) * _DAY_S - GPS_EPOCH_UNIX_S) * S
+ROLLOVER_NS = 1024 * WEEK_NS
+"""Ten bits of week: what a receiver is wrong by that does not know which of them it is."""
+_NEAR_NS = 30 * _DAY_S * S
+"""A vehicle clock that knows the year is right by this."""
+
 # IERS Bulletin C: GPS − UTC from these dates on.
 _LEAP_SECONDS = (
     (date(2017, 1, 1), 18), (date(2015, 7, 1), 17), (date(2012, 7, 1), 16),
@@ -35,9 +48,17 @@ _LEAP_SECONDS = (
 )  # fmt: skip
 
 
+_NEWEST_LEAP = _LEAP_SECONDS[0][1]
+"""More leap seconds than there have been tell nothing of the date."""
+_MISSED_LEAPS = 2
+"""In 1024 weeks so many are inserted at least; one more is only news."""
+
+
 def utc_ns(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> int:
     """UTC in Unix nanoseconds; 0 if that is no date. `nano` may be negative, `second` 60."""
-    if not _FIRST_YEAR <= year <= _LAST_YEAR or hour > 23 or minute > 59 or second > 60:
+    if not (_FIRST_YEAR <= year <= _LAST_YEAR and 0 < month <= 12 and 0 < day <= 31):
+        return 0
+    if hour > 23 or minute > 59 or second > 60:
         return 0
     try:
         days = date(year, month, day).toordinal() - 719_163  # 1970-01-01
@@ -52,6 +73,26 @@ def leap_seconds_on(unix_ns: int) -> int:
     return next((seconds for since, seconds in _LEAP_SECONDS if day >= since), 13)
 
 
+def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
+    """Whether a place is 0° 0° to the last digit: what is sent by who knows none."""
+    return latitude_deg == 0.0 and longitude_deg == 0.0
+
+
+def behind_ns(time_ns: int, vehicle_ns: int) -> int:
+    """How much a time is behind by rollovers of the week, against a clock that looks like it.
+
+    Parameters
+    ----------
+    time_ns : int
+        Receiver's time, from the Unix epoch.
+    vehicle_ns : int
+        Vehicle clock. Where nobody has set it, it is decades behind and tells nothing.
+    """
+    rollovers = (vehicle_ns - time_ns + ROLLOVER_NS // 2) // ROLLOVER_NS
+    missing_ns = rollovers * ROLLOVER_NS
+    return missing_ns if rollovers > 0 and abs(vehicle_ns - time_ns - missing_ns) < _NEAR_NS else 0
+
+
 @dataclass
 class GpsTimeline:
     """Week and leap seconds as the receiver's messages reveal them: a memory."""
@@ -60,24 +101,29 @@ class GpsTimeline:
     """The latest GPS time of which the week was known."""
     leap_seconds: int | None = None
 
-    def of(self, message: UbxMessage) -> int | None:
-        """GPS time of the epoch that `message` belongs to; None while the week is unknown."""
+    def of(self, message: UbxMessage, vehicle_ns: int = 0) -> int | None:
+        """GPS time of the epoch that `message` belongs to; None while the week is unknown.
+
+        `vehicle_ns`, the arrival by a vehicle clock that may know the year, corrects rollovers.
+        """
         fields = message.fields
         name = message.name
-        gps_ns: int | None
-        if name in ("NAV-PVT", "NAV-PVAT", "HNR-PVT"):
-            gps_ns = self._of_solution(fields)
-        elif name == "NAV-TIMEGPS":
-            gps_ns = self._of_timegps(fields)
-        elif name == "RXM-RAWX":
-            gps_ns = self._of_rawx(fields)
-        else:
+        find = _WHOLE_TIMES.get(name)
+        if find is None:
             if name == "NAV-TIMELS" and fields["valid"] & 1:
                 self.leap_seconds = fields["currLs"]
             itow_ms = fields.get("iTOW")
-            return None if itow_ms is None else self.near(itow_ms * MS)
-        if gps_ns is not None:
-            self.reference_ns = gps_ns
+            return None if itow_ms is None or itow_ms < 0 else self.near(itow_ms * MS)
+        gps_ns = find(self, fields)
+        if gps_ns is None or gps_ns < _FIRST_NS:
+            return None
+        gps_ns += behind_ns(gps_ns + GPS_EPOCH_UNIX_S * S, vehicle_ns)
+        if self.leap_seconds is not None and self.leap_seconds <= _NEWEST_LEAP:
+            while (
+                self.leap_seconds - leap_seconds_on(gps_ns + GPS_EPOCH_UNIX_S * S) >= _MISSED_LEAPS
+            ):
+                gps_ns += ROLLOVER_NS
+        self.reference_ns = gps_ns
         return gps_ns
 
     def near(self, tow_ns: int) -> int | None:
@@ -99,6 +145,22 @@ class GpsTimeline:
         fraction_ns = (fields["nano"] - gps_ns + S // 2) % S - S // 2
         return gps_ns + fraction_ns if abs(fraction_ns) <= MS else gps_ns
 
+    def _of_timeutc(self, fields: dict[str, Any]) -> int | None:
+        itow_ns, utc = fields["iTOW"] * MS, solution_utc_ns(fields, _VALID_UTC)
+        if utc == 0 or itow_ns >= WEEK_NS:
+            return self.near(itow_ns)
+        return _nearest(itow_ns, utc - GPS_EPOCH_UNIX_S * S)
+
+    def _of_sol(self, fields: dict[str, Any]) -> int | None:
+        """NAV-SOL of receivers before NAV-PVT; its flags tell week and time of week apart."""
+        flags, week = fields["flags"], fields["week"]
+        tow_ns = fields["iTOW"] * MS + (fields["fTOW"] if abs(fields["fTOW"]) <= MS else 0)
+        if not flags & 8 or fields["iTOW"] * MS >= WEEK_NS:
+            return None
+        if not flags & 4 or not 0 < week <= _LAST_WEEK:
+            return self.near(tow_ns)
+        return int(week * WEEK_NS + tow_ns)
+
     def _of_timegps(self, fields: dict[str, Any]) -> int | None:
         valid, week = fields["valid"], fields["week"]
         if valid & 4:
@@ -119,14 +181,34 @@ class GpsTimeline:
         return int(week * WEEK_NS + round(tow_s * 1e9))
 
 
-def solution_utc_ns(fields: dict[str, Any]) -> int:
-    """UTC of NAV-PVT, NAV-PVAT or HNR-PVT; 0 unless both date and time are valid."""
-    if fields["valid"] & 3 != 3:
+_VALID_DATE_AND_TIME = 3
+_VALID_UTC = 4
+
+
+def solution_utc_ns(fields: dict[str, Any], wanted: int = _VALID_DATE_AND_TIME) -> int:
+    """UTC of NAV-PVT, NAV-PVAT, HNR-PVT or NAV-TIMEUTC; 0 unless the bits `wanted` are valid.
+
+    Nor is it UTC before `FIRST_DAY`.
+    """
+    if fields["valid"] & wanted != wanted:
         return 0
-    return utc_ns(
+    utc = utc_ns(
         fields["year"], fields["month"], fields["day"],
         fields["hour"], fields["min"], fields["sec"], fields["nano"],
     )  # fmt: skip
+    return utc if utc >= _FIRST_NS + GPS_EPOCH_UNIX_S * S else 0
+
+
+_WHOLE_TIMES = {
+    "NAV-PVT": GpsTimeline._of_solution,
+    "NAV-PVAT": GpsTimeline._of_solution,
+    "HNR-PVT": GpsTimeline._of_solution,
+    "NAV-TIMEGPS": GpsTimeline._of_timegps,
+    "NAV-TIMEUTC": GpsTimeline._of_timeutc,
+    "NAV-SOL": GpsTimeline._of_sol,
+    "RXM-RAWX": GpsTimeline._of_rawx,
+}
+"""Messages that may know the week."""
 
 
 def _nearest(tow_ns: int, about_ns: int) -> int:

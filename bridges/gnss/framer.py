@@ -11,6 +11,11 @@ A frame may only be as long as its type allows, and may not contradict its own c
 that a flipped length bit is noticed in the header or after a wait that is bounded by the type's
 longest message (`ubx_layouts.LIMITS`), never after 64 KiB.
 
+An NMEA sentence is whole with its checksum. Its line end may be any: CR LF, LF alone, LF LF or
+CR CR LF behind a terminal that was not raw, none at all at the end of a file. One line end belongs
+to the frame; what follows of CR and LF is counted with it and reported neither as frame nor as
+rejected.
+
 Check values come from prefix sums of what lies in the buffer, made once for each `feed`: whether a
 frame of n bytes agrees is then told in constant time, and no input, however hostile, makes the
 framer slower than linear.
@@ -42,8 +47,10 @@ _SYNC_FIRST = b"\xb5$!\xd3"
 # Start and at most 1024 characters up to the asterisk, none of them a control character or another
 # start. The standard allows 79; PUBX,03 with 60 satellites has 900.
 _BODY = rb"[$!][A-Z][ -#%-)+-~]{0,1023}+"
-_SENTENCE = re.compile(_BODY + rb"\*[0-9A-Fa-f]{2}\r\n")
-_SENTENCE_SO_FAR = re.compile(_BODY + rb"(?:\*(?:[0-9A-Fa-f]{1,2}|[0-9A-Fa-f]{2}\r)?)?\Z")
+_SENTENCE = re.compile(_BODY + rb"\*([0-9A-Fa-f]{2})((?:\r{0,2}\n)?)")
+_SENTENCE_SO_FAR = re.compile(_BODY + rb"(?:\*[0-9A-Fa-f]?)?\Z")
+_LINE_END_SO_FAR = re.compile(rb"\r{0,2}\Z")
+_LINE_ENDS = re.compile(rb"[\r\n]*")
 
 _SLICE = 1 << 20
 """A long `feed` is worked through in slices of this many bytes, to bound the memory."""
@@ -95,7 +102,9 @@ class Frame(NamedTuple):
         """What the frame carries; the sentence between start and asterisk for NMEA."""
         if self.protocol == UBX:
             return self.raw[6:-2]
-        return self.raw[1:-5] if self.protocol == NMEA else self.raw[3:-3]
+        if self.protocol == NMEA:
+            return self.raw[1 : self.raw.index(b"*")]
+        return self.raw[3:-3]
 
 
 class Rejected(NamedTuple):
@@ -123,6 +132,8 @@ class Framer:
     _pending: bytes = b""
     _run: tuple[str, int] | None = None
     """Reason and start of the open rejected run."""
+    _line_ends: bool = False
+    """CR and LF that come next belong to the sentence before."""
 
     @property
     def bytes_pending(self) -> int:
@@ -151,10 +162,13 @@ class Framer:
         base = self.position
         data = self._pending + news
         size = len(data)
-        window, deliver = _Window(data), out.append
+        window, deliver = _Window(data, final), out.append
         check, check_ubx = window.check, window.check_ubx
         self.bytes_in += len(news)
         frames = framed = at = 0  # everything before `at` is settled
+        if self._line_ends:
+            at = framed = _LINE_ENDS.match(data).end()  # type: ignore[union-attr]
+            self._line_ends = at == size
         while True:
             found = _SYNC.search(data, at)
             if found is None:
@@ -172,8 +186,11 @@ class Framer:
             if end > 0:
                 deliver(Frame(protocol, kind, data[start:end], base + end - 1))
                 frames += 1
-                framed += end - start
                 at = end
+                if protocol == NMEA:
+                    at = _LINE_ENDS.match(data, end).end()  # type: ignore[union-attr]
+                    self._line_ends = at == size
+                framed += at - start
                 continue
             if end == _WAIT:
                 if not final:
@@ -209,8 +226,9 @@ _Verdict = tuple[str, int, int]
 class _Window:
     """The bytes at hand, with prefix sums made when the first frame needs them."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, final: bool) -> None:
         self.data = data
+        self._final = final
         self._fletcher: tuple[bytes, bytes] | None = None
         self._xor: bytes | None = None
 
@@ -229,12 +247,13 @@ class _Window:
         fixed, step, longest, count_at = _LIMITS.get(kind, _ANY)
         extra = length - fixed
         if extra < 0 or length > longest or (extra % step if step else extra):
-            if length:  # 0 is a request for the message
+            if length and length not in _OTHER_LENGTHS.get(kind, ()):  # 0 is a request
                 return UBX, kind, _LENGTH
         elif count_at >= 0:
             if payload + count_at >= size:
                 return UBX, kind, _WAIT
-            if extra != data[payload + count_at] * step:
+            told = data[payload + count_at] * step
+            if extra != told and length not in _OTHER_LENGTHS.get(kind, ()):
                 return UBX, kind, _COUNT
         end = payload + length
         if end + 2 > size:
@@ -258,10 +277,12 @@ class _Window:
             return NMEA, 0, _WAIT if waits else _MALFORMED
         if self._xor is None:
             self._xor = np.bitwise_xor.accumulate(np.frombuffer(data, np.uint8)).tobytes()
-        end = found.end()
-        if self._xor[start] ^ self._xor[end - 6] != int(data[end - 4 : end - 2], 16):
+        digits, told = found.start(1), found.group(1)
+        if self._xor[start] ^ self._xor[digits - 2] != int(told, 16):
             return NMEA, 0, _XOR
-        return NMEA, 0, end
+        if not found.group(2) and not self._final and _LINE_END_SO_FAR.match(data, digits + 2):
+            return NMEA, 0, _WAIT  # its line end may be on its way
+        return NMEA, 0, found.end()
 
     def _check_rtcm3(self, start: int) -> _Verdict:
         data = self.data
@@ -279,6 +300,7 @@ class _Window:
 
 
 _LIMITS = ubx_layouts.LIMITS
+_OTHER_LENGTHS = ubx_layouts.OTHER_LENGTHS
 _ANY = ubx_layouts.ANY_LIMIT
 
 

@@ -1,4 +1,4 @@
-"""Decoded UBX messages to the messages of the bus: pure functions, one for each UBX type.
+"""Fixes, positions and times of UBX as messages of the bus: pure functions, one for each type.
 
 Stamp and sequence are the bridge's business and left alone here.
 """
@@ -6,28 +6,18 @@ Stamp and sequence are the bridge's business and left alone here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from google.protobuf.message import Message
 
-from tramstream import keys
-from tramstream.bridges.gnss.clock import solution_utc_ns
+from tramstream.bridges.gnss.clock import WEEK_NS, is_nowhere, solution_utc_ns
 from tramstream.bridges.gnss.ubx import UbxMessage
+from tramstream.clock import GPS_EPOCH_UNIX_S, S
 from tramstream.proto.gnss_pb2 import (
-    EsfAlignment,
-    EsfInertial,
-    EsfMeasurements,
-    EsfSensor,
-    EsfStatus,
     GnssAttitude,
     GnssCovariance,
     GnssFix,
-    GnssMeasurements,
     GnssPosition,
-    GnssSatellites,
-    GnssSubframe,
     GnssTime,
     TimePulse,
 )
@@ -36,30 +26,22 @@ MILLI = 1000.0
 ANTENNA = "gnss"
 """Frame of the location: its origin is the antenna."""
 
+UNKNOWN_HEIGHT_M2 = 1e6
+"""Variance of a height of which nothing is known: all of the Earth's surface is within 9 km."""
+
+_CORRECTION_AGES_S = (0, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, 120, 120, 120, 120)
+"""NAV-PVT's classes of the corrections' age, by their upper end; the last is "120 s and more"."""
 _USABLE = (GnssFix.FIX_2D, GnssFix.FIX_3D, GnssFix.GNSS_AND_DEAD_RECKONING)
 _CARRIERS = (GnssFix.NONE, GnssFix.FLOAT, GnssFix.FIXED, GnssFix.NONE)
-
-# Standard deviations of RXM-RAWX, by the low four bits of the byte that codes them.
-_PSEUDORANGE_STD_M = tuple(0.01 * 2**n for n in range(16))
-_PHASE_STD_CYCLES = tuple(0.004 * n for n in range(16))
-_DOPPLER_STD_HZ = tuple(0.002 * 2**n for n in range(16))
-
-# u-blox data type: unit and scale of the signed 24-bit value (interface description, "ESF
-# measurement data"). Ticks (6 to 10) are 23 bits and a direction.
-_ESF_DATA: dict[int, tuple[str, float]] = {
-    5: ("deg/s", 2.0**-12), 6: ("ticks", 1.0), 7: ("ticks", 1.0), 8: ("ticks", 1.0),
-    9: ("ticks", 1.0), 10: ("ticks", 1.0), 11: ("m/s", 1e-3), 12: ("degC", 1e-2),
-    13: ("deg/s", 2.0**-12), 14: ("deg/s", 2.0**-12), 16: ("m/s^2", 2.0**-10),
-    17: ("m/s^2", 2.0**-10), 18: ("m/s^2", 2.0**-10),
-}  # fmt: skip
 
 
 def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> GnssFix:
     """NAV-PVT, NAV-PVAT or HNR-PVT as a fix.
 
     `valid` needs a fix type with satellites in it (2D, 3D, GNSS with dead reckoning), the
-    receiver's own gnssFixOK, a position not marked invalid and an accuracy within
-    `max_accuracy_m`. NAV-PVAT does not tell the course's deviation: it is taken from speed's.
+    receiver's own gnssFixOK, a position not marked invalid and not at 0° 0°, and an accuracy within
+    `max_accuracy_m`. The date is that of `gps_time_ns` where the two are weeks apart.
+    NAV-PVAT does not tell the course's deviation: it is taken from speed's.
     """
     f = message.fields
     high_rate = message.name == "HNR-PVT"
@@ -79,30 +61,48 @@ def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> 
         vertical_std_m=f["vAcc"] / MILLI,
         speed_mps=f["gSpeed"] / MILLI,
         speed_std_mps=f["sAcc"] / MILLI,
-        utc_ns=solution_utc_ns(f),
-        invalid_llh=bool(f.get("flags3", 0) & 1),
+        utc_ns=utc_of(f, gps_time_ns),
     )
     if high_rate:
         out.course_deg, out.course_std_deg = f["headMot"], f["headAcc"]
         if flags & 0x10:
             out.heading_vehicle_deg = f["headVeh"]
     else:
-        _add_navigation(out, message.name, f)
-    out.valid = (
-        bool(flags & 1)
-        and out.fix_type in _USABLE
-        and not out.invalid_llh
-        and out.horizontal_std_m <= max_accuracy_m
-        and abs(out.latitude_deg) <= 90
-        and abs(out.longitude_deg) <= 180
-    )
+        _add_navigation(out, message)
+    judge(out, bool(flags & 1), max_accuracy_m)
     return out
 
 
-def _add_navigation(out: GnssFix, name: str, f: dict[str, Any]) -> None:
-    """What NAV-PVT and NAV-PVAT have beyond HNR-PVT."""
-    flags = f["flags"]
-    out.carrier = _CARRIERS[flags >> 6]
+def judge(of: GnssFix, fix_ok: bool, max_accuracy_m: float) -> None:
+    """Fill in whether a fix is valid, and whether it has a place at all."""
+    of.invalid_llh = of.invalid_llh or is_nowhere(of.latitude_deg, of.longitude_deg)
+    of.valid = (
+        fix_ok
+        and of.fix_type in _USABLE
+        and not of.invalid_llh
+        and of.horizontal_std_m <= max_accuracy_m
+        and abs(of.latitude_deg) <= 90
+        and abs(of.longitude_deg) <= 180
+    )
+
+
+def utc_of(f: dict[str, Any], gps_time_ns: int | None, wanted: int = 3) -> int:
+    """UTC that a message tells, moved by the weeks that its receiver is behind; 0 if not valid."""
+    utc = solution_utc_ns(f, wanted)
+    if utc == 0 or gps_time_ns is None:
+        return utc
+    weeks = (gps_time_ns + GPS_EPOCH_UNIX_S * S - utc + WEEK_NS // 2) // WEEK_NS
+    return utc + weeks * WEEK_NS
+
+
+def _add_navigation(out: GnssFix, message: UbxMessage) -> None:
+    """What NAV-PVT and NAV-PVAT have beyond HNR-PVT; u-blox 7 has reserved bits for some of it."""
+    name, f = message.name, message.fields
+    flags, flags3 = f["flags"], 0 if message.form else f.get("flags3", 0)
+    out.invalid_llh = bool(flags3 & 1)
+    if flags3 >> 1 & 15:
+        out.correction_age_s = _CORRECTION_AGES_S[flags3 >> 1 & 15]
+    out.carrier = carrier_of(flags >> 6)
     out.satellites_used = f["numSV"]
     out.vel_n_mps = f["velN"] / MILLI
     out.vel_e_mps = f["velE"] / MILLI
@@ -113,21 +113,28 @@ def _add_navigation(out: GnssFix, name: str, f: dict[str, Any]) -> None:
     else:
         out.course_deg = f["motHeading"]
         out.course_std_deg = math.degrees(math.atan2(f["sAcc"], abs(f["gSpeed"])))
-    if flags & 0x20:
+    if flags & 0x20 and not message.form:
         out.heading_vehicle_deg = f["headVeh"] if name == "NAV-PVT" else f["vehHeading"]
+
+
+def carrier_of(bits: int) -> GnssFix.Carrier:
+    """Carrier phase solution as UBX codes it in two bits."""
+    return _CARRIERS[bits & 3]
 
 
 def location(of: GnssFix, covariance: GnssCovariance | None = None) -> LocationFix:
     """The fix for any viewer, with `covariance` if that belongs to the same epoch.
 
     Without it the horizontal variance is split evenly between east and north. All zero deviations
-    mean that none are known.
+    mean that none are known. A height that is not known is NaN, as in ROS' NavSatFix, and its
+    variance that of who knows nothing of it.
     """
+    known = of.HasField("height_ellipsoid_m")
     out = LocationFix(
         frame_id=ANTENNA,
         latitude=of.latitude_deg,
         longitude=of.longitude_deg,
-        altitude=of.height_ellipsoid_m,
+        altitude=of.height_ellipsoid_m if known else math.nan,
     )
     if covariance is not None and covariance.position_valid:
         nn, ne, nd, ee, ed, dd = covariance.position_m2
@@ -136,7 +143,8 @@ def location(of: GnssFix, covariance: GnssCovariance | None = None) -> LocationF
     elif of.horizontal_std_m > 0:
         per_axis_m2 = of.horizontal_std_m**2 / 2
         out.position_covariance[:] = [
-            per_axis_m2, 0, 0, 0, per_axis_m2, 0, 0, 0, of.vertical_std_m**2
+            per_axis_m2, 0, 0, 0, per_axis_m2, 0, 0, 0,
+            of.vertical_std_m**2 if known else UNKNOWN_HEIGHT_M2,
         ]  # fmt: skip
         out.position_covariance_type = LocationFix.DIAGONAL_KNOWN
     return out
@@ -172,13 +180,32 @@ def attitude_of_pvat(message: UbxMessage, _: int | None) -> GnssAttitude:
 
 
 def covariance(message: UbxMessage, _: int | None) -> GnssCovariance:
+    """NAV-COV. What is none (NaN, infinite, negative variances) is not valid, and left out."""
     f, axes = message.fields, ("NN", "NE", "ND", "EE", "ED", "DD")
+    position = [f[f"posCov{pair}"] for pair in axes]
+    velocity = [f[f"velCov{pair}"] for pair in axes]
     return GnssCovariance(
         itow_ms=f["iTOW"],
-        position_valid=f["posCovValid"] == 1,
-        velocity_valid=f["velCovValid"] == 1,
-        position_m2=[f[f"posCov{pair}"] for pair in axes],
-        velocity_m2ps2=[f[f"velCov{pair}"] for pair in axes],
+        position_valid=f["posCovValid"] == 1 and _is_covariance(position),
+        velocity_valid=f["velCovValid"] == 1 and _is_covariance(velocity),
+        position_m2=position if all(map(math.isfinite, position)) else (),
+        velocity_m2ps2=velocity if all(map(math.isfinite, velocity)) else (),
+    )
+
+
+def _is_covariance(upper: list[float]) -> bool:
+    """Whether the upper triangle is that of a covariance: finite, and no variance is negative.
+
+    Of 32 bits each; correlations may be one, and rounded beyond.
+    """
+    nn, ne, nd, ee, ed, dd = upper
+    return (
+        all(map(math.isfinite, upper))
+        and min(nn, ee, dd) > 0.0
+        and all(
+            cross * cross <= a * b * (1.0 + 1e-6)
+            for cross, a, b in ((ne, nn, ee), (nd, nn, dd), (ed, ee, dd))
+        )
     )
 
 
@@ -223,6 +250,19 @@ def time_leap(message: UbxMessage, gps_time_ns: int | None) -> GnssTime:
     )
 
 
+def time_utc(message: UbxMessage, gps_time_ns: int | None) -> GnssTime:
+    """NAV-TIMEUTC."""
+    f, utc = message.fields, utc_of(message.fields, gps_time_ns, 4)
+    return GnssTime(
+        source=message.name,
+        itow_ms=f["iTOW"],
+        gps_time_ns=gps_time_ns,
+        accuracy_ns=f["tAcc"],
+        utc_ns=utc or None,
+        utc_standard=f["valid"] >> 4,
+    )
+
+
 def pulse(message: UbxMessage, _: int | None) -> TimePulse:
     f = message.fields
     return TimePulse(
@@ -233,167 +273,3 @@ def pulse(message: UbxMessage, _: int | None) -> TimePulse:
         utc_base=bool(f["flags"] & 1),
         quantisation_valid=not f["flags"] & 0x10,
     )
-
-
-def satellites(message: UbxMessage, _: int | None) -> GnssSatellites:
-    """NAV-SAT. Elevation and azimuth beyond their range mean that they are not known."""
-    out = GnssSatellites(source=message.name, itow_ms=message.fields["iTOW"])
-    add = out.satellites.add
-    for gnss_id, sv_id, cno, elevation, azimuth, residual, flags in message.records:
-        known = -90 <= elevation <= 90
-        add(
-            gnss_id=gnss_id, sv_id=sv_id, cno_dbhz=cno, residual_m=residual, flags=flags,
-            elevation_deg=elevation if known else None, azimuth_deg=azimuth if known else None,
-            quality=flags & 7, used=bool(flags & 8), health=flags >> 4 & 3,
-        )  # fmt: skip
-    return out
-
-
-def signals(message: UbxMessage, _: int | None) -> GnssSatellites:
-    """NAV-SIG; `used` where the pseudorange is."""
-    out = GnssSatellites(source=message.name, itow_ms=message.fields["iTOW"])
-    add = out.satellites.add
-    for (
-        gnss_id,
-        sv_id,
-        signal,
-        frequency,
-        residual,
-        cno,
-        quality,
-        _c,
-        _i,
-        flags,
-        _r,
-    ) in message.records:
-        add(
-            gnss_id=gnss_id, sv_id=sv_id, signal_id=signal, frequency_id=frequency,
-            cno_dbhz=cno, residual_m=residual, quality=quality, used=bool(flags & 8),
-            health=flags & 3, flags=flags,
-        )  # fmt: skip
-    return out
-
-
-def measurements(message: UbxMessage, _: int | None) -> GnssMeasurements:
-    f = message.fields
-    status = f["recStat"]
-    out = GnssMeasurements(
-        receiver_tow_s=f["rcvTow"], week=f["week"], clock_reset=bool(status & 2),
-        leap_seconds=f["leapS"] if status & 1 else None,
-    )  # fmt: skip
-    add = out.measurements.add
-    for (
-        pr,
-        cp,
-        do,
-        gnss,
-        sv,
-        signal,
-        freq,
-        lock,
-        cno,
-        pr_std,
-        cp_std,
-        do_std,
-        track,
-        _r,
-    ) in message.records:
-        add(
-            pseudorange_m=pr, carrier_phase_cycles=cp, doppler_hz=do, gnss_id=gnss, sv_id=sv,
-            signal_id=signal, frequency_id=freq, lock_time_ms=lock, cno_dbhz=cno,
-            pseudorange_std_m=_PSEUDORANGE_STD_M[pr_std & 15],
-            carrier_phase_std_cycles=_PHASE_STD_CYCLES[cp_std & 15],
-            doppler_std_hz=_DOPPLER_STD_HZ[do_std & 15], tracking=track,
-        )  # fmt: skip
-    return out
-
-
-def subframe(message: UbxMessage, _: int | None) -> GnssSubframe:
-    f = message.fields
-    return GnssSubframe(
-        gnss_id=f["gnssId"], sv_id=f["svId"], signal_id=f["sigId"], frequency_id=f["freqId"],
-        channel=f["chn"], words=[record[0] for record in message.records],
-    )  # fmt: skip
-
-
-def esf_measurements(message: UbxMessage, _: int | None) -> EsfMeasurements:
-    """ESF-MEAS or ESF-RAW; the calibrated time tag at the end of ESF-MEAS is no measurement."""
-    out = EsfMeasurements(source=message.name)
-    records = message.records
-    if message.name == "ESF-MEAS":
-        if message.fields["flags"] & 8:
-            records = records[:-1]
-        tag = message.fields["timeTag"]
-        words = [(record[0], tag) for record in records]
-    else:
-        words = [(word, tag) for word, tag in records]
-    for word, tag in words:
-        type_ = word >> 24 & 0x3F
-        raw = (word & 0xFFFFFF ^ 0x800000) - 0x800000
-        unit, scale = _ESF_DATA.get(type_, ("", 0.0))
-        value = raw * scale
-        if unit == "ticks":
-            value = float(word & 0x7FFFFF) * (-1.0 if word & 0x800000 else 1.0)
-        out.items.add(type=type_, raw=raw, value=value, unit=unit, time_tag=tag)
-    return out
-
-
-def esf_status(message: UbxMessage, _: int | None) -> EsfStatus:
-    return EsfStatus(
-        itow_ms=message.fields["iTOW"],
-        fusion_mode=message.fields["fusionMode"],
-        sensors=[
-            EsfSensor(
-                type=first & 0x3F, used=bool(first & 0x40), ready=bool(first & 0x80),
-                calibration=second & 3, time_status=second >> 2 & 3, frequency_hz=rate,
-                faults=faults,
-            )
-            for first, second, rate, faults in message.records
-        ],
-    )  # fmt: skip
-
-
-def esf_inertial(message: UbxMessage, _: int | None) -> EsfInertial:
-    """ESF-INS or HNR-INS; components whose validity bit is not set are left out."""
-    f = message.fields
-    out = EsfInertial(source=message.name, itow_ms=f["iTOW"])
-    valid = f["bitfield0"] >> 8
-    for bit, axis in enumerate("xyz"):
-        if valid >> bit & 1:
-            setattr(out, f"rate_{axis}_degps", f[f"{axis}AngRate"])
-        if valid >> (3 + bit) & 1:
-            setattr(out, f"accel_{axis}_mps2", f[f"{axis}Accel"])
-    return out
-
-
-def esf_alignment(message: UbxMessage, _: int | None) -> EsfAlignment:
-    f = message.fields
-    return EsfAlignment(
-        itow_ms=f["iTOW"], status=f["flags"] >> 1 & 7, error=f["error"], yaw_deg=f["yaw"],
-        pitch_deg=f["pitch"], roll_deg=f["roll"],
-    )  # fmt: skip
-
-
-Builder = Callable[[UbxMessage, int | None], Message]
-
-BUILDERS: dict[str, tuple[keys.Key, Builder]] = {
-    "NAV-ATT": (keys.GNSS_ATTITUDE, attitude),
-    "HNR-ATT": (keys.GNSS_ATTITUDE, attitude),
-    "NAV-COV": (keys.GNSS_COVARIANCE, covariance),
-    "NAV-HPPOSLLH": (keys.GNSS_POSITION, position),
-    "NAV-POSLLH": (keys.GNSS_POSITION, position),
-    "NAV-TIMEGPS": (keys.GNSS_TIME, time_gps),
-    "NAV-TIMELS": (keys.GNSS_TIME, time_leap),
-    "NAV-SAT": (keys.GNSS_SATELLITES, satellites),
-    "NAV-SIG": (keys.GNSS_SIGNALS, signals),
-    "TIM-TP": (keys.GNSS_PULSE, pulse),
-    "RXM-RAWX": (keys.GNSS_MEASUREMENTS, measurements),
-    "RXM-SFRBX": (keys.GNSS_SUBFRAME, subframe),
-    "ESF-MEAS": (keys.GNSS_ESF_MEASUREMENTS, esf_measurements),
-    "ESF-RAW": (keys.GNSS_ESF_MEASUREMENTS, esf_measurements),
-    "ESF-STATUS": (keys.GNSS_ESF_STATUS, esf_status),
-    "ESF-INS": (keys.GNSS_ESF_INERTIAL, esf_inertial),
-    "HNR-INS": (keys.GNSS_ESF_INERTIAL, esf_inertial),
-    "ESF-ALG": (keys.GNSS_ESF_ALIGNMENT, esf_alignment),
-}
-"""UBX type to key and builder, where one message follows from one."""

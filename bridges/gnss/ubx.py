@@ -27,10 +27,12 @@ class UbxMessage(NamedTuple):
     name: str
     fields: dict[str, Any]
     records: list[tuple[Any, ...]]
+    form: str = ""
+    """Which of several forms it had; empty for the newest."""
 
     def rows(self) -> list[dict[str, Any]]:
         """The records with their names: easier to read, slower."""
-        names = ubx_layouts.BY_NAME[self.name].group_names
+        names = ubx_layouts.BY_NAME[f"{self.name} {self.form}".rstrip()].group_names
         return [dict(zip(names, record, strict=True)) for record in self.records]
 
 
@@ -40,15 +42,15 @@ def decode(frame: Frame) -> UbxMessage | Rejected:
     Refused are types without a table (`knows` tells beforehand), requests (no payload) and payloads
     of the wrong length.
     """
-    layout = ubx_layouts.BY_KIND.get(frame.kind)
-    if layout is None:
+    forms = ubx_layouts.BY_KIND.get(frame.kind)
+    if forms is None:
         return _refuse(frame, "UBX without a decoder")
     payload = frame.raw[6:-2]
-    fixed = layout.fixed.size
+    layout = next((form for form in forms if form.fits(payload)), None)
+    if layout is None:
+        return _refuse(frame, f"{forms[0].name} length")
+    fixed, step = layout.fixed.size, layout.repeated.size
     extra = len(payload) - fixed
-    step = layout.repeated.size
-    if extra < 0 or (extra % step if step else extra):
-        return _refuse(frame, f"{layout.name} length")
     fields = dict(zip(layout.names, layout.fixed.unpack_from(payload), strict=True))
     count = extra // step if step else 0
     if count != _expected_count(layout, fields, count):
@@ -60,7 +62,7 @@ def decode(frame: Frame) -> UbxMessage | Rejected:
         records = list(layout.repeated.iter_unpack(payload[fixed:]))
         for at, divisor in layout.group_scaled:
             records = [(*r[:at], r[at] / divisor, *r[at + 1 :]) for r in records]
-    return UbxMessage(layout.name, fields, records)
+    return UbxMessage(layout.name, fields, records, layout.form)
 
 
 def knows(kind: int) -> bool:
@@ -77,6 +79,8 @@ def encode(
 
     Parameters
     ----------
+    name : str
+        As the manual has it; an older form of a message by its title, `NAV-PVT u-blox 7`.
     fields : mapping
         Values in the units of the table. The count of records is filled in.
     records : sequence
@@ -93,6 +97,8 @@ def encode(
             f"no layout for UBX message {name!r}; see tramstream.bridges.gnss.ubx_layouts"
         )
     values = dict(fields or {})
+    if layout.version >= 0:
+        values.setdefault("version", layout.version)
     if layout.count:
         values[layout.count] = len(records)
     payload = _pack(layout.fixed, layout.fields, values, name)

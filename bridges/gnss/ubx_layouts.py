@@ -1,8 +1,12 @@
 """Layouts of UBX messages as tables that mirror the manuals.
 
 Sources: u-blox F9 HPS 1.30 and HPG 1.32 Interface Descriptions (UBX-22010984, UBX-22008968), and
-for the HNR class u-blox 8/M8 Receiver Description (UBX-13003221), each in its chapter on the UBX
+for the HNR class u-blox 8/M8 Receiver Description (UBX-13003221), for what older receivers say
+u-blox 5, 6 and 7 (GPS.G5-X-07036, GPS.G6-SW-10018, GPS.G7-SW-12001), each in its chapter on the UBX
 protocol; each table stands under the name the manual gives the message. Little-endian.
+
+Some messages have had several forms. A table that is not the newest says which in `form`, and a
+payload is read by the form that its length, and where two have one length its version, tells.
 
 A field is (name, type, scale, unit). Types: U unsigned, I signed, X bits, R float, C text, with the
 number of bytes; `U1*9` is nine bytes kept as they are. A decoded value is the integer sent times
@@ -56,6 +60,10 @@ class Layout:
     """Field that holds the number of groups, where there is one."""
     longest: int = 0
     """Most groups the message can hold."""
+    form: str = ""
+    """Which one of several this is; empty for the newest."""
+    version: int = -1
+    """What the first byte of the payload holds, where it tells the form."""
     fixed: Struct = field(init=False)
     repeated: Struct = field(init=False)
     names: tuple[str, ...] = field(init=False)
@@ -80,6 +88,18 @@ class Layout:
     @property
     def kind(self) -> int:
         return self.message_class << 8 | self.message_id
+
+    @property
+    def title(self) -> str:
+        """Name and form, as `BY_NAME` has it."""
+        return f"{self.name} {self.form}".rstrip()
+
+    def fits(self, payload: bytes) -> bool:
+        """Whether a payload of this length may be of this form."""
+        extra, step = len(payload) - self.fixed.size, self.repeated.size
+        if extra < 0 or (extra % step if step else extra):
+            return False
+        return self.version < 0 or payload[0] == self.version
 
     @property
     def limit(self) -> Limit:
@@ -131,6 +151,41 @@ _DYNAMICS = (
     F("zAccel", "I4", 1e-2, "m/s^2"),
 )  # fmt: skip
 _ANSWER = (F("clsID", "U1"), F("msgID", "U1"))
+_PVT = (
+    _ITOW, *_DATE, F("valid", "X1"), F("tAcc", "U4", 1, "ns"), F("nano", "I4", 1, "ns"),
+    F("fixType", "U1"), F("flags", "X1"), F("flags2", "X1"), F("numSV", "U1"),
+    *_LLH, *_ACCURACY, F("velN", "I4", 1, "mm/s"), F("velE", "I4", 1, "mm/s"),
+    F("velD", "I4", 1, "mm/s"), F("gSpeed", "I4", 1, "mm/s"), F("headMot", "I4", 1e-5, "deg"),
+    F("sAcc", "U4", 1, "mm/s"), F("headAcc", "U4", 1e-5, "deg"), F("pDOP", "U2", 1e-2),
+    F("flags3", "X2"), F("reserved0", "U1*4"),
+)  # fmt: skip
+_POSITION_E = (
+    F("ecefX", "I4", 1, "cm"), F("ecefY", "I4", 1, "cm"), F("ecefZ", "I4", 1, "cm"),
+    F("pAcc", "U4", 1, "cm"),
+)  # fmt: skip
+_VELOCITY_E = (
+    F("ecefVX", "I4", 1, "cm/s"), F("ecefVY", "I4", 1, "cm/s"), F("ecefVZ", "I4", 1, "cm/s"),
+    F("sAcc", "U4", 1, "cm/s"),
+)  # fmt: skip
+_PINS = (F("pinSel", "X4"), F("pinBank", "X4"), F("pinDir", "X4"), F("pinVal", "X4"))
+_HARDWARE = (
+    F("noisePerMS", "U2"), F("agcCnt", "U2"), F("aStatus", "U1"), F("aPower", "U1"),
+    F("flags", "X1"), F("reserved0", "U1"), F("usedMask", "X4"),
+)  # fmt: skip
+_INTERRUPTS = (
+    F("jamInd", "U1"), F("reserved1", "U1*2"), F("pinIrq", "X4"), F("pullH", "X4"),
+    F("pullL", "X4"),
+)  # fmt: skip
+_REL_POS = (
+    F("relPosN", "I4", 1, "cm"), F("relPosE", "I4", 1, "cm"), F("relPosD", "I4", 1, "cm"),
+)  # fmt: skip
+_REL_POS_HP = (
+    F("relPosHPN", "I1", 0.1, "mm"), F("relPosHPE", "I1", 0.1, "mm"),
+    F("relPosHPD", "I1", 0.1, "mm"),
+)  # fmt: skip
+_REL_ACC = (
+    F("accN", "U4", 0.1, "mm"), F("accE", "U4", 0.1, "mm"), F("accD", "U4", 0.1, "mm"),
+)  # fmt: skip
 
 LAYOUTS: tuple[Layout, ...] = (
     # UBX-ACK-NAK (0x05 0x00), UBX-ACK-ACK (0x05 0x01)
@@ -140,15 +195,35 @@ LAYOUTS: tuple[Layout, ...] = (
     Layout("NAV-POSLLH", 0x01, 0x02, (_ITOW, *_LLH, *_ACCURACY)),
     # UBX-NAV-ATT (0x01 0x05): attitude solution
     Layout("NAV-ATT", 0x01, 0x05, _ATTITUDE),
-    # UBX-NAV-PVT (0x01 0x07): navigation position velocity time solution
+    # UBX-NAV-POSECEF (0x01 0x01): position solution in ECEF
+    Layout("NAV-POSECEF", 0x01, 0x01, (_ITOW, *_POSITION_E)),
+    # UBX-NAV-STATUS (0x01 0x03): receiver navigation status
+    Layout("NAV-STATUS", 0x01, 0x03, (
+        _ITOW, F("gpsFix", "U1"), F("flags", "X1"), F("fixStat", "X1"), F("flags2", "X1"),
+        F("ttff", "U4", 1, "ms"), F("msss", "U4", 1, "ms"),
+    )),
+    # UBX-NAV-DOP (0x01 0x04): dilution of precision
+    Layout("NAV-DOP", 0x01, 0x04, (
+        _ITOW, *(F(f"{axis}DOP", "U2", 1e-2) for axis in "gptvhne"),
+    )),
+    # UBX-NAV-SOL (0x01 0x06): navigation solution information; u-blox 4 to 8
+    Layout("NAV-SOL", 0x01, 0x06, (
+        _ITOW, F("fTOW", "I4", 1, "ns"), F("week", "I2"), F("gpsFix", "U1"), F("flags", "X1"),
+        *_POSITION_E, *_VELOCITY_E, F("pDOP", "U2", 1e-2), F("reserved0", "U1"), F("numSV", "U1"),
+        F("reserved1", "U1*4"),
+    )),
+    # UBX-NAV-PVT (0x01 0x07): navigation position velocity time solution; 84 bytes on u-blox 7
     Layout("NAV-PVT", 0x01, 0x07, (
-        _ITOW, *_DATE, F("valid", "X1"), F("tAcc", "U4", 1, "ns"), F("nano", "I4", 1, "ns"),
-        F("fixType", "U1"), F("flags", "X1"), F("flags2", "X1"), F("numSV", "U1"),
-        *_LLH, *_ACCURACY, F("velN", "I4", 1, "mm/s"), F("velE", "I4", 1, "mm/s"),
-        F("velD", "I4", 1, "mm/s"), F("gSpeed", "I4", 1, "mm/s"), F("headMot", "I4", 1e-5, "deg"),
-        F("sAcc", "U4", 1, "mm/s"), F("headAcc", "U4", 1e-5, "deg"), F("pDOP", "U2", 1e-2),
-        F("flags3", "X2"), F("reserved0", "U1*4"), F("headVeh", "I4", 1e-5, "deg"),
-        F("magDec", "I2", 1e-2, "deg"), F("magAcc", "U2", 1e-2, "deg"),
+        *_PVT, F("headVeh", "I4", 1e-5, "deg"), F("magDec", "I2", 1e-2, "deg"),
+        F("magAcc", "U2", 1e-2, "deg"),
+    )),
+    Layout("NAV-PVT", 0x01, 0x07, _PVT, form="u-blox 7"),
+    # UBX-NAV-VELECEF (0x01 0x11), UBX-NAV-VELNED (0x01 0x12): velocity solution
+    Layout("NAV-VELECEF", 0x01, 0x11, (_ITOW, *_VELOCITY_E)),
+    Layout("NAV-VELNED", 0x01, 0x12, (
+        _ITOW, F("velN", "I4", 1, "cm/s"), F("velE", "I4", 1, "cm/s"), F("velD", "I4", 1, "cm/s"),
+        F("speed", "U4", 1, "cm/s"), F("gSpeed", "U4", 1, "cm/s"), F("heading", "I4", 1e-5, "deg"),
+        F("sAcc", "U4", 1, "cm/s"), F("cAcc", "U4", 1e-5, "deg"),
     )),
     # UBX-NAV-HPPOSLLH (0x01 0x14): high precision geodetic position solution
     Layout("NAV-HPPOSLLH", 0x01, 0x14, (
@@ -177,6 +252,15 @@ LAYOUTS: tuple[Layout, ...] = (
         _ITOW, F("fTOW", "I4", 1, "ns"), F("week", "I2"), F("leapS", "I1", 1, "s"),
         F("valid", "X1"), F("tAcc", "U4", 1, "ns"),
     )),
+    # UBX-NAV-TIMEUTC (0x01 0x21): UTC time solution
+    Layout("NAV-TIMEUTC", 0x01, 0x21, (
+        _ITOW, F("tAcc", "U4", 1, "ns"), F("nano", "I4", 1, "ns"), *_DATE, F("valid", "X1"),
+    )),
+    # UBX-NAV-CLOCK (0x01 0x22): clock solution
+    Layout("NAV-CLOCK", 0x01, 0x22, (
+        _ITOW, F("clkB", "I4", 1, "ns"), F("clkD", "I4", 1, "ns/s"), F("tAcc", "U4", 1, "ns"),
+        F("fAcc", "U4", 1, "ps/s"),
+    )),
     # UBX-NAV-TIMELS (0x01 0x26): leap second event information
     Layout("NAV-TIMELS", 0x01, 0x26, (
         _ITOW, F("version", "U1"), F("reserved0", "U1*3"), F("srcOfCurrLs", "U1"),
@@ -184,6 +268,17 @@ LAYOUTS: tuple[Layout, ...] = (
         F("timeToLsEvent", "I4", 1, "s"), F("dateOfLsGpsWn", "U2"), F("dateOfLsGpsDn", "U2"),
         F("reserved1", "U1*3"), F("valid", "X1"),
     )),
+    # UBX-NAV-SVINFO (0x01 0x30): space vehicle information; u-blox 4 to 8
+    Layout(
+        "NAV-SVINFO", 0x01, 0x30,
+        (_ITOW, F("numCh", "U1"), F("globalFlags", "X1"), F("reserved0", "U1*2")),
+        (
+            F("chn", "U1"), F("svid", "U1"), F("flags", "X1"), F("quality", "X1"),
+            F("cno", "U1", 1, "dBHz"), F("elev", "I1", 1, "deg"), F("azim", "I2", 1, "deg"),
+            F("prRes", "I4", 1, "cm"),
+        ),
+        count="numCh", longest=255,
+    ),
     # UBX-NAV-SAT (0x01 0x35): satellite information
     Layout(
         "NAV-SAT", 0x01, 0x35,
@@ -202,6 +297,18 @@ LAYOUTS: tuple[Layout, ...] = (
         *(F(f"posCov{axes}", "R4", 1, "m^2") for axes in ("NN", "NE", "ND", "EE", "ED", "DD")),
         *(F(f"velCov{axes}", "R4", 1, "m^2/s^2") for axes in ("NN", "NE", "ND", "EE", "ED", "DD")),
     )),
+    # UBX-NAV-RELPOSNED (0x01 0x3c): relative positioning; 40 bytes on u-blox 8
+    Layout("NAV-RELPOSNED", 0x01, 0x3C, (
+        F("version", "U1"), F("reserved0", "U1"), F("refStationId", "U2"), _ITOW, *_REL_POS,
+        F("relPosLength", "I4", 1, "cm"), F("relPosHeading", "I4", 1e-5, "deg"),
+        F("reserved1", "U1*4"), *_REL_POS_HP, F("relPosHPLength", "I1", 0.1, "mm"), *_REL_ACC,
+        F("accLength", "U4", 0.1, "mm"), F("accHeading", "U4", 1e-5, "deg"),
+        F("reserved2", "U1*4"), F("flags", "X4"),
+    )),
+    Layout("NAV-RELPOSNED", 0x01, 0x3C, (
+        F("version", "U1"), F("reserved0", "U1"), F("refStationId", "U2"), _ITOW, *_REL_POS,
+        *_REL_POS_HP, F("reserved1", "U1"), *_REL_ACC, F("flags", "X4"),
+    ), form="u-blox 8", version=0),
     # UBX-NAV-SIG (0x01 0x43): signal information
     Layout(
         "NAV-SIG", 0x01, 0x43,
@@ -216,6 +323,28 @@ LAYOUTS: tuple[Layout, ...] = (
     ),
     # UBX-NAV-EOE (0x01 0x61): end of epoch
     Layout("NAV-EOE", 0x01, 0x61, (_ITOW,)),
+    # UBX-NAV-PL (0x01 0x62): protection level
+    Layout("NAV-PL", 0x01, 0x62, (
+        F("version", "U1"), F("tmirCoeff", "U1"), F("tmirExp", "I1"), F("plPosValid", "U1"),
+        F("plPosFrame", "U1"), F("plVelValid", "U1"), F("plVelFrame", "U1"),
+        F("plTimeValid", "U1"), F("plPosInvalidityReason", "U1"),
+        F("plVelInvalidityReason", "U1"), F("plTimeInvalidityReason", "U1"),
+        F("reserved0", "U1"), _ITOW, F("plPos1", "U4", 1, "mm"),
+        F("plPos2", "U4", 1, "mm"), F("plPos3", "U4", 1, "mm"), F("plVel1", "U4", 1, "mm/s"),
+        F("plVel2", "U4", 1, "mm/s"), F("plVel3", "U4", 1, "mm/s"),
+        F("plPosHorizOrient", "U2", 1e-2, "deg"), F("plVelHorizOrient", "U2", 1e-2, "deg"),
+        F("plTime", "U4", 1, "ns"), F("reserved1", "U1*4"),
+    )),
+    # UBX-RXM-RAW (0x02 0x10): raw measurements; u-blox 4 to 6
+    Layout(
+        "RXM-RAW", 0x02, 0x10,
+        (F("iTOW", "I4", 1, "ms"), F("week", "I2"), F("numSV", "U1"), F("reserved0", "U1")),
+        (
+            F("cpMes", "R8", 1, "cycles"), F("prMes", "R8", 1, "m"), F("doMes", "R4", 1, "Hz"),
+            F("sv", "U1"), F("mesQI", "I1"), F("cno", "I1", 1, "dBHz"), F("lli", "U1"),
+        ),
+        count="numSV", longest=255,
+    ),
     # UBX-RXM-SFRBX (0x02 0x13): broadcast navigation data subframe
     Layout(
         "RXM-SFRBX", 0x02, 0x13,
@@ -241,11 +370,61 @@ LAYOUTS: tuple[Layout, ...] = (
         ),
         count="numMeas", longest=255,
     ),
+    # UBX-RXM-RTCM (0x02 0x32), UBX-RXM-COR (0x02 0x34): corrections that came in
+    Layout("RXM-RTCM", 0x02, 0x32, (
+        F("version", "U1"), F("flags", "X1"), F("subType", "U2"), F("refStation", "U2"),
+        F("msgType", "U2"),
+    )),
+    Layout("RXM-COR", 0x02, 0x34, (
+        F("version", "U1"), F("ebno", "U1", 0.125, "dB"), F("reserved0", "U1*2"),
+        F("statusInfo", "X4"), F("msgType", "U2"), F("msgSubType", "U2"),
+    )),
     # UBX-MON-VER (0x0a 0x04): receiver and software version
     Layout(
         "MON-VER", 0x0A, 0x04, (F("swVersion", "C30"), F("hwVersion", "C10")),
         (F("extension", "C30"),), longest=64,
     ),
+    # UBX-MON-HW (0x0a 0x09): hardware status; 68 bytes on u-blox 5
+    Layout("MON-HW", 0x0A, 0x09, (*_PINS, *_HARDWARE, F("VP", "U1*17"), *_INTERRUPTS)),
+    Layout(
+        "MON-HW", 0x0A, 0x09, (*_PINS, *_HARDWARE, F("VP", "U1*25"), *_INTERRUPTS), form="u-blox 5"
+    ),
+    # UBX-MON-SPAN (0x0a 0x31): signal characteristics
+    Layout(
+        "MON-SPAN", 0x0A, 0x31,
+        (F("version", "U1"), F("numRfBlocks", "U1"), F("reserved0", "U1*2")),
+        (
+            F("spectrum", "U1*256"), F("span", "U4", 1, "Hz"), F("res", "U4", 1, "Hz"),
+            F("center", "U4", 1, "Hz"), F("pga", "U1", 1, "dB"), F("reserved1", "U1*3"),
+        ),
+        count="numRfBlocks", longest=8,
+    ),
+    # UBX-MON-RF (0x0a 0x38): RF information
+    Layout(
+        "MON-RF", 0x0A, 0x38,
+        (F("version", "U1"), F("nBlocks", "U1"), F("reserved0", "U1*2")),
+        (
+            F("blockId", "U1"), F("flags", "X1"), F("antStatus", "U1"), F("antPower", "U1"),
+            F("postStatus", "U4"), F("reserved1", "U1*4"), F("noisePerMS", "U2"),
+            F("agcCnt", "U2"), F("jamInd", "U1"), F("ofsI", "I1"), F("magI", "U1"),
+            F("ofsQ", "I1"), F("magQ", "U1"), F("reserved2", "U1*3"),
+        ),
+        count="nBlocks", longest=8,
+    ),
+    # UBX-SEC-SIG (0x27 0x09): signal security information; version 1 without the carriers
+    Layout(
+        "SEC-SIG", 0x27, 0x09,
+        (
+            F("version", "U1"), F("sigSecFlags", "X1"), F("reserved0", "U1"),
+            F("jamNumCentFreqs", "U1"),
+        ),
+        (F("jamStateCentFreq", "X4"),),
+        count="jamNumCentFreqs", longest=32, version=2,
+    ),
+    Layout("SEC-SIG", 0x27, 0x09, (
+        F("version", "U1"), F("reserved0", "U1*3"), F("jamFlags", "X1"), F("reserved1", "U1*3"),
+        F("spfFlags", "X1"), F("reserved2", "U1*3"),
+    ), form="version 1", version=1),
     # UBX-TIM-TP (0x0d 0x01): time pulse time data
     Layout("TIM-TP", 0x0D, 0x01, (
         F("towMS", "U4", 1, "ms"), F("towSubMS", "U4", 2**-32, "ms"), F("qErr", "I4", 1, "ps"),
@@ -297,9 +476,17 @@ LAYOUTS: tuple[Layout, ...] = (
     Layout("HNR-INS", 0x28, 0x02, _DYNAMICS),
 )  # fmt: skip
 
-BY_KIND: dict[int, Layout] = {layout.kind: layout for layout in LAYOUTS}
-BY_NAME: dict[str, Layout] = {layout.name: layout for layout in LAYOUTS}
-LIMITS: dict[int, Limit] = {layout.kind: layout.limit for layout in LAYOUTS}
+BY_KIND: dict[int, tuple[Layout, ...]] = {
+    layout.kind: tuple(each for each in LAYOUTS if each.kind == layout.kind) for layout in LAYOUTS
+}
+BY_NAME: dict[str, Layout] = {layout.title: layout for layout in LAYOUTS}
+LIMITS: dict[int, Limit] = {kind: forms[0].limit for kind, forms in BY_KIND.items()}
+OTHER_LENGTHS: dict[int, frozenset[int]] = {
+    kind: frozenset(layout.fixed.size for layout in forms[1:])
+    for kind, forms in BY_KIND.items()
+    if forms[1:]
+}
+"""Lengths of the older forms, none of which has a group that repeats."""
 
 _CLASSES = {
     0x01: "NAV", 0x02: "RXM", 0x04: "INF", 0x05: "ACK", 0x06: "CFG", 0x09: "UPD", 0x0A: "MON",
@@ -313,7 +500,7 @@ _OTHERS = {
     0x0127: "TIMEQZSS", 0x0130: "SVINFO", 0x0131: "DGPS", 0x0132: "SBAS", 0x0134: "ORB",
     0x0139: "GEOFENCE", 0x013B: "SVIN", 0x013C: "RELPOSNED", 0x013D: "EELL", 0x0142: "SLAS",
     0x0160: "AOPSTATUS", 0x0162: "PL", 0x0214: "MEASX", 0x0220: "SVSI", 0x0232: "RTCM",
-    0x0233: "COR", 0x0234: "SPARTN", 0x0259: "RLM", 0x0272: "PMP", 0x0273: "QZSSL6",
+    0x0233: "SPARTN", 0x0234: "COR", 0x0259: "RLM", 0x0272: "PMP", 0x0273: "QZSSL6",
     0x0400: "ERROR", 0x0401: "WARNING", 0x0402: "NOTICE", 0x0403: "TEST", 0x0404: "DEBUG",
     0x0600: "PRT", 0x0601: "MSG", 0x0608: "RATE", 0x0609: "CFG", 0x068A: "VALSET",
     0x068B: "VALGET", 0x0A02: "IO", 0x0A06: "MSGPP", 0x0A07: "RXBUF", 0x0A08: "TXBUF",
@@ -326,8 +513,8 @@ _OTHERS = {
 
 def name_of(kind: int) -> str:
     """NAV-PVT; class and identifier in hexadecimal (`0A-99`) where there is no name."""
-    layout = BY_KIND.get(kind)
-    if layout is not None:
-        return layout.name
+    forms = BY_KIND.get(kind)
+    if forms is not None:
+        return forms[0].name
     short = _OTHERS.get(kind)
     return f"{_CLASSES[kind >> 8]}-{short}" if short else f"{kind >> 8:02X}-{kind & 0xFF:02X}"

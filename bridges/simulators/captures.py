@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from tramstream.bridges.gnss.bridge import epoch_times
+from tramstream.bridges.gnss.capture import epoch_times
 from tramstream.bridges.gnss.framer import Frame, Framer
 from tramstream.bridges.odometer import candump, slcan
 from tramstream.bridges.odometer.frames import ERROR, EXTENDED, FD, REMOTE, CanFrame

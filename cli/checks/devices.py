@@ -197,6 +197,9 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
     if not frames:
         text = f"{port.device}: silent for {LISTEN_S:g} s"
         return warning(name, text, "check its power and cable, and what it is set to send")
+    troubles = getattr(bridge, "device_troubles", list)()
+    if troubles:
+        return warning(name, f"{port.device}: {troubles[0].plain}", troubles[0].kind.cure)
     rate = "bit rate" if name == "odometer" else f"$.{name}.baud_rate"
     what = f"{received} bytes" if received else "empty frames"
     text = f"{port.device}: {what} in {LISTEN_S:g} s, but nothing that {name} understands"

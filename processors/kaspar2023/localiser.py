@@ -30,7 +30,7 @@ from tramstream.attitude import C_vl
 from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
 from tramstream.errors import ConfigError
-from tramstream.estimation.fixes import antenna_l, deviations, unusable
+from tramstream.estimation.fixes import antenna_l, deviations, place_deg, unusable
 from tramstream.estimation.localiser import Array, Estimate, Learned, Verdict, values_of
 from tramstream.estimation.track import LocalTrack, Pose, Trail, TrailMemory
 from tramstream.events.kinds import Event
@@ -204,8 +204,7 @@ class Kaspar2023Localiser:
         first = next((fix for fix in fixes if self._usable(fix)), None)
         if first is None:
             return False
-        place = first.latitude_deg, first.longitude_deg, first.height_ellipsoid_m
-        self._lay(LocalLevel.at_deg(*place))
+        self._lay(LocalLevel.at_deg(*place_deg(first)))
         self.memory.stamp_ns = first.stamp_ns
         self._filter.x = np.zeros((SIZE, 1))
         self._filter.P = np.diag(self._start_std**2)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tramstream import geodesy
 from tramstream.clock import S
-from tramstream.estimation.fixes import deviations, unusable
+from tramstream.estimation.fixes import deviations, place_deg, unusable
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import (
     COVARIANCE,
@@ -233,8 +233,7 @@ class ReceiverFixes(Source):
         """Give the fix as an estimate; None if it is not valid."""
         if not message.valid or unusable(message, None):
             return None
-        place = message.latitude_deg, message.longitude_deg, message.height_ellipsoid_m
-        east, north, up, lean = self.ground.put(*place)
+        east, north, up, lean = self.ground.put(*place_deg(message))
         speed = message.speed_mps
         if message.HasField("vel_n_mps") and message.HasField("vel_e_mps"):
             speed = math.hypot(message.vel_e_mps, message.vel_n_mps)

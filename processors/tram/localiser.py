@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import FAR_M, antenna_l, unusable
+from tramstream.estimation.fixes import FAR_M, antenna_l, place_deg, unusable
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.estimation.track import LocalTrack
 from tramstream.events import kinds
@@ -163,7 +163,7 @@ class TramLocaliser:
             if reason is not None:
                 self._complaints.append(reason)
                 continue
-            level = LocalLevel.at_deg(fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m)
+            level = LocalLevel.at_deg(*place_deg(fix))
             navigation = self._navigate(level)
             self.memory.begun_ns = frame.stamp_ns
             navigation.ekf.set_time(frame.stamp_ns)

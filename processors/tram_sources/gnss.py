@@ -20,6 +20,7 @@ from tramstream.estimation.fixes import (
     UNSTATED_STD_M,
     antenna_l,
     deviations,
+    measures_height,
     velocity_l,
 )
 from tramstream.estimation.localiser import Verdict
@@ -201,9 +202,10 @@ class Fixes:
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
         found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
-        verdicts += ekf.apply(GnssHeight(z[2], white_up))
-        if not verdicts[2].accepted:
-            self._absorb_height(ekf, verdicts[2].innovation, std_up)
+        if measures_height(fix):
+            verdicts += ekf.apply(GnssHeight(z[2], white_up))
+            if not verdicts[2].accepted:
+                self._absorb_height(ekf, verdicts[2].innovation, std_up)
         if refused:
             found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, self.noise.std_m)
         else:

@@ -49,3 +49,26 @@ FIX_TOO_FAR = define(
     distance_m=float,
     limit_m=float,
 )
+FIX_SPOOFED = define(
+    "fix.spoofed",
+    "{key}: a fix is not used, the receiver itself says that its signals are forged ({state}); it "
+    "claims {accuracy_m} with {satellites} satellites",
+    cause="Somebody sends what looks like satellites, or repeats their signals into a hall. The "
+    "receiver's detector can be wrong, too.",
+    cure="see raw/gnss/interference, and whether the other sensors agree with the fixes",
+    key=str,
+    state=str,
+    accuracy_m=float,
+    satellites=int,
+)
+FIX_JAMMED = define(
+    "fix.jammed",
+    "{key}: a fix is not used, the receiver itself says that interference leaves none ({state}); "
+    "it claims {accuracy_m} with {satellites} satellites",
+    cause="A jammer, a modem or a defective antenna beside the receiver.",
+    cure="see raw/gnss/interference, and look for what was switched on",
+    key=str,
+    state=str,
+    accuracy_m=float,
+    satellites=int,
+)

@@ -86,9 +86,16 @@ class Event:
         """Texts among the facts: what is said again, however its numbers have changed."""
         return tuple(value for value in self.facts.values() if isinstance(value, str))
 
+    @property
+    def plain(self) -> str:
+        """The sentence without the cure, for who shows that apart."""
+        return sentences.filled(self.kind.sentence, self._known())
+
     def __str__(self) -> str:
-        known = {name: (value, sentences.unit_of(name)) for name, value in self.facts.items()}
-        return sentences.worded(self.kind.sentence, self.kind.cure, known)
+        return sentences.worded(self.kind.sentence, self.kind.cure, self._known())
+
+    def _known(self) -> sentences.Known:
+        return {name: (value, sentences.unit_of(name)) for name, value in self.facts.items()}
 
 
 def define(

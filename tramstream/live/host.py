@@ -307,7 +307,12 @@ class ProcessorNode(Node):
         self.troubles = []
         for reader in self.readers:
             state, trouble = reader.health()
-            self.troubles += [] if trouble is None else [trouble]
+            found = [] if trouble is None else [trouble]
+            processors = self.graph.readers(reader.port.key.path)
+            for processor in processors:
+                found += getattr(processor, "device_troubles", list)()
+            self.troubles += found
+            trouble = found[0] if found else None
             message = DeviceHealth(
                 device=self.name,
                 port=reader.port.device,
@@ -318,7 +323,7 @@ class ProcessorNode(Node):
                 bytes_received=reader.bytes_received,
                 silence_s=reader.silence_s,
             )
-            for processor in self.graph.readers(reader.port.key.path):
+            for processor in processors:
                 counters: dict[str, Any] = getattr(processor, "device_counters", dict)()
                 for name, value in counters.items():
                     if name == "rejected_by_reason":

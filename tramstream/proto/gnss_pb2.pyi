@@ -7,8 +7,52 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class JammingState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    JAMMING_UNKNOWN: _ClassVar[JammingState]
+    JAMMING_OK: _ClassVar[JammingState]
+    JAMMING_WARNING: _ClassVar[JammingState]
+    JAMMING_CRITICAL: _ClassVar[JammingState]
+
+class SpoofingState(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SPOOFING_UNKNOWN: _ClassVar[SpoofingState]
+    SPOOFING_NONE: _ClassVar[SpoofingState]
+    SPOOFING_INDICATED: _ClassVar[SpoofingState]
+    SPOOFING_AFFIRMED: _ClassVar[SpoofingState]
+JAMMING_UNKNOWN: JammingState
+JAMMING_OK: JammingState
+JAMMING_WARNING: JammingState
+JAMMING_CRITICAL: JammingState
+SPOOFING_UNKNOWN: SpoofingState
+SPOOFING_NONE: SpoofingState
+SPOOFING_INDICATED: SpoofingState
+SPOOFING_AFFIRMED: SpoofingState
+
 class GnssFix(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "source", "itow_ms", "gps_time_ns", "fix_type", "valid", "differential", "carrier", "satellites_used", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "height_msl_m", "horizontal_std_m", "vertical_std_m", "vel_n_mps", "vel_e_mps", "vel_d_mps", "speed_mps", "speed_std_mps", "course_deg", "course_std_deg", "pdop", "heading_vehicle_deg", "utc_ns", "invalid_llh")
+    __slots__ = ("stamp_ns", "sequence", "source", "itow_ms", "gps_time_ns", "fix_type", "valid", "differential", "carrier", "satellites_used", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "height_msl_m", "horizontal_std_m", "vertical_std_m", "vel_n_mps", "vel_e_mps", "vel_d_mps", "speed_mps", "speed_std_mps", "course_deg", "course_std_deg", "pdop", "heading_vehicle_deg", "utc_ns", "invalid_llh", "faa_mode", "correction_age_s", "reference_station", "jamming", "spoofing")
+    class FaaMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NOT_TOLD: _ClassVar[GnssFix.FaaMode]
+        AUTONOMOUS: _ClassVar[GnssFix.FaaMode]
+        DIFFERENTIAL: _ClassVar[GnssFix.FaaMode]
+        ESTIMATED: _ClassVar[GnssFix.FaaMode]
+        MANUAL: _ClassVar[GnssFix.FaaMode]
+        NOT_VALID: _ClassVar[GnssFix.FaaMode]
+        PRECISE: _ClassVar[GnssFix.FaaMode]
+        RTK_FIXED: _ClassVar[GnssFix.FaaMode]
+        RTK_FLOAT: _ClassVar[GnssFix.FaaMode]
+        SIMULATED: _ClassVar[GnssFix.FaaMode]
+    NOT_TOLD: GnssFix.FaaMode
+    AUTONOMOUS: GnssFix.FaaMode
+    DIFFERENTIAL: GnssFix.FaaMode
+    ESTIMATED: GnssFix.FaaMode
+    MANUAL: GnssFix.FaaMode
+    NOT_VALID: GnssFix.FaaMode
+    PRECISE: GnssFix.FaaMode
+    RTK_FIXED: GnssFix.FaaMode
+    RTK_FLOAT: GnssFix.FaaMode
+    SIMULATED: GnssFix.FaaMode
     class FixType(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NO_FIX: _ClassVar[GnssFix.FixType]
@@ -58,6 +102,11 @@ class GnssFix(_message.Message):
     HEADING_VEHICLE_DEG_FIELD_NUMBER: _ClassVar[int]
     UTC_NS_FIELD_NUMBER: _ClassVar[int]
     INVALID_LLH_FIELD_NUMBER: _ClassVar[int]
+    FAA_MODE_FIELD_NUMBER: _ClassVar[int]
+    CORRECTION_AGE_S_FIELD_NUMBER: _ClassVar[int]
+    REFERENCE_STATION_FIELD_NUMBER: _ClassVar[int]
+    JAMMING_FIELD_NUMBER: _ClassVar[int]
+    SPOOFING_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     source: str
@@ -85,7 +134,12 @@ class GnssFix(_message.Message):
     heading_vehicle_deg: float
     utc_ns: int
     invalid_llh: bool
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., itow_ms: _Optional[int] = ..., gps_time_ns: _Optional[int] = ..., fix_type: _Optional[_Union[GnssFix.FixType, str]] = ..., valid: _Optional[bool] = ..., differential: _Optional[bool] = ..., carrier: _Optional[_Union[GnssFix.Carrier, str]] = ..., satellites_used: _Optional[int] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., height_msl_m: _Optional[float] = ..., horizontal_std_m: _Optional[float] = ..., vertical_std_m: _Optional[float] = ..., vel_n_mps: _Optional[float] = ..., vel_e_mps: _Optional[float] = ..., vel_d_mps: _Optional[float] = ..., speed_mps: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., course_deg: _Optional[float] = ..., course_std_deg: _Optional[float] = ..., pdop: _Optional[float] = ..., heading_vehicle_deg: _Optional[float] = ..., utc_ns: _Optional[int] = ..., invalid_llh: _Optional[bool] = ...) -> None: ...
+    faa_mode: GnssFix.FaaMode
+    correction_age_s: float
+    reference_station: int
+    jamming: JammingState
+    spoofing: SpoofingState
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., itow_ms: _Optional[int] = ..., gps_time_ns: _Optional[int] = ..., fix_type: _Optional[_Union[GnssFix.FixType, str]] = ..., valid: _Optional[bool] = ..., differential: _Optional[bool] = ..., carrier: _Optional[_Union[GnssFix.Carrier, str]] = ..., satellites_used: _Optional[int] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., height_msl_m: _Optional[float] = ..., horizontal_std_m: _Optional[float] = ..., vertical_std_m: _Optional[float] = ..., vel_n_mps: _Optional[float] = ..., vel_e_mps: _Optional[float] = ..., vel_d_mps: _Optional[float] = ..., speed_mps: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., course_deg: _Optional[float] = ..., course_std_deg: _Optional[float] = ..., pdop: _Optional[float] = ..., heading_vehicle_deg: _Optional[float] = ..., utc_ns: _Optional[int] = ..., invalid_llh: _Optional[bool] = ..., faa_mode: _Optional[_Union[GnssFix.FaaMode, str]] = ..., correction_age_s: _Optional[float] = ..., reference_station: _Optional[int] = ..., jamming: _Optional[_Union[JammingState, str]] = ..., spoofing: _Optional[_Union[SpoofingState, str]] = ...) -> None: ...
 
 class GnssCovariance(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "itow_ms", "position_valid", "velocity_valid", "position_m2", "velocity_m2ps2")
@@ -156,7 +210,7 @@ class GnssAttitude(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., itow_ms: _Optional[int] = ..., roll_deg: _Optional[float] = ..., pitch_deg: _Optional[float] = ..., heading_deg: _Optional[float] = ..., roll_std_deg: _Optional[float] = ..., pitch_std_deg: _Optional[float] = ..., heading_std_deg: _Optional[float] = ...) -> None: ...
 
 class GnssTime(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "source", "itow_ms", "gps_time_ns", "leap_seconds", "accuracy_ns", "next_leap_change", "next_leap_in_s")
+    __slots__ = ("stamp_ns", "sequence", "source", "itow_ms", "gps_time_ns", "leap_seconds", "accuracy_ns", "next_leap_change", "next_leap_in_s", "utc_ns", "utc_standard")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]
@@ -166,6 +220,8 @@ class GnssTime(_message.Message):
     ACCURACY_NS_FIELD_NUMBER: _ClassVar[int]
     NEXT_LEAP_CHANGE_FIELD_NUMBER: _ClassVar[int]
     NEXT_LEAP_IN_S_FIELD_NUMBER: _ClassVar[int]
+    UTC_NS_FIELD_NUMBER: _ClassVar[int]
+    UTC_STANDARD_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     source: str
@@ -175,7 +231,9 @@ class GnssTime(_message.Message):
     accuracy_ns: float
     next_leap_change: int
     next_leap_in_s: int
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., itow_ms: _Optional[int] = ..., gps_time_ns: _Optional[int] = ..., leap_seconds: _Optional[int] = ..., accuracy_ns: _Optional[float] = ..., next_leap_change: _Optional[int] = ..., next_leap_in_s: _Optional[int] = ...) -> None: ...
+    utc_ns: int
+    utc_standard: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., itow_ms: _Optional[int] = ..., gps_time_ns: _Optional[int] = ..., leap_seconds: _Optional[int] = ..., accuracy_ns: _Optional[float] = ..., next_leap_change: _Optional[int] = ..., next_leap_in_s: _Optional[int] = ..., utc_ns: _Optional[int] = ..., utc_standard: _Optional[int] = ...) -> None: ...
 
 class TimePulse(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "tow_ms", "week", "tow_sub_ms", "quantisation_ps", "utc_base", "quantisation_valid")
@@ -423,3 +481,236 @@ class UbxFrame(_message.Message):
     name: str
     payload: bytes
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., message_class: _Optional[int] = ..., message_id: _Optional[int] = ..., name: _Optional[str] = ..., payload: _Optional[bytes] = ...) -> None: ...
+
+class GnssInterference(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "source", "jamming", "spoofing", "jamming_detection", "spoofing_detection", "parts", "carriers")
+    class RadioPart(_message.Message):
+        __slots__ = ("id", "jamming", "noise", "gain", "jamming_indicator", "antenna_status", "antenna_power", "offset_i", "magnitude_i", "offset_q", "magnitude_q")
+        ID_FIELD_NUMBER: _ClassVar[int]
+        JAMMING_FIELD_NUMBER: _ClassVar[int]
+        NOISE_FIELD_NUMBER: _ClassVar[int]
+        GAIN_FIELD_NUMBER: _ClassVar[int]
+        JAMMING_INDICATOR_FIELD_NUMBER: _ClassVar[int]
+        ANTENNA_STATUS_FIELD_NUMBER: _ClassVar[int]
+        ANTENNA_POWER_FIELD_NUMBER: _ClassVar[int]
+        OFFSET_I_FIELD_NUMBER: _ClassVar[int]
+        MAGNITUDE_I_FIELD_NUMBER: _ClassVar[int]
+        OFFSET_Q_FIELD_NUMBER: _ClassVar[int]
+        MAGNITUDE_Q_FIELD_NUMBER: _ClassVar[int]
+        id: int
+        jamming: JammingState
+        noise: int
+        gain: float
+        jamming_indicator: int
+        antenna_status: int
+        antenna_power: int
+        offset_i: int
+        magnitude_i: int
+        offset_q: int
+        magnitude_q: int
+        def __init__(self, id: _Optional[int] = ..., jamming: _Optional[_Union[JammingState, str]] = ..., noise: _Optional[int] = ..., gain: _Optional[float] = ..., jamming_indicator: _Optional[int] = ..., antenna_status: _Optional[int] = ..., antenna_power: _Optional[int] = ..., offset_i: _Optional[int] = ..., magnitude_i: _Optional[int] = ..., offset_q: _Optional[int] = ..., magnitude_q: _Optional[int] = ...) -> None: ...
+    class Carrier(_message.Message):
+        __slots__ = ("frequency_hz", "jammed")
+        FREQUENCY_HZ_FIELD_NUMBER: _ClassVar[int]
+        JAMMED_FIELD_NUMBER: _ClassVar[int]
+        frequency_hz: float
+        jammed: bool
+        def __init__(self, frequency_hz: _Optional[float] = ..., jammed: _Optional[bool] = ...) -> None: ...
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    JAMMING_FIELD_NUMBER: _ClassVar[int]
+    SPOOFING_FIELD_NUMBER: _ClassVar[int]
+    JAMMING_DETECTION_FIELD_NUMBER: _ClassVar[int]
+    SPOOFING_DETECTION_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    CARRIERS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    source: str
+    jamming: JammingState
+    spoofing: SpoofingState
+    jamming_detection: bool
+    spoofing_detection: bool
+    parts: _containers.RepeatedCompositeFieldContainer[GnssInterference.RadioPart]
+    carriers: _containers.RepeatedCompositeFieldContainer[GnssInterference.Carrier]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., jamming: _Optional[_Union[JammingState, str]] = ..., spoofing: _Optional[_Union[SpoofingState, str]] = ..., jamming_detection: _Optional[bool] = ..., spoofing_detection: _Optional[bool] = ..., parts: _Optional[_Iterable[_Union[GnssInterference.RadioPart, _Mapping]]] = ..., carriers: _Optional[_Iterable[_Union[GnssInterference.Carrier, _Mapping]]] = ...) -> None: ...
+
+class GnssProtection(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "itow_ms", "integrity_risk", "position_valid", "position_frame", "position_m", "position_orient_deg", "velocity_valid", "velocity_frame", "velocity_mps", "velocity_orient_deg", "time_valid", "time_ns", "position_reason")
+    class Frame(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NO_FRAME: _ClassVar[GnssProtection.Frame]
+        NORTH_EAST_DOWN: _ClassVar[GnssProtection.Frame]
+        ALONG_ACROSS_UP: _ClassVar[GnssProtection.Frame]
+        MAJOR_MINOR_UP: _ClassVar[GnssProtection.Frame]
+    NO_FRAME: GnssProtection.Frame
+    NORTH_EAST_DOWN: GnssProtection.Frame
+    ALONG_ACROSS_UP: GnssProtection.Frame
+    MAJOR_MINOR_UP: GnssProtection.Frame
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    ITOW_MS_FIELD_NUMBER: _ClassVar[int]
+    INTEGRITY_RISK_FIELD_NUMBER: _ClassVar[int]
+    POSITION_VALID_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FRAME_FIELD_NUMBER: _ClassVar[int]
+    POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    POSITION_ORIENT_DEG_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_VALID_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FRAME_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_MPS_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_ORIENT_DEG_FIELD_NUMBER: _ClassVar[int]
+    TIME_VALID_FIELD_NUMBER: _ClassVar[int]
+    TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_REASON_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    itow_ms: int
+    integrity_risk: float
+    position_valid: bool
+    position_frame: GnssProtection.Frame
+    position_m: _containers.RepeatedScalarFieldContainer[float]
+    position_orient_deg: float
+    velocity_valid: bool
+    velocity_frame: GnssProtection.Frame
+    velocity_mps: _containers.RepeatedScalarFieldContainer[float]
+    velocity_orient_deg: float
+    time_valid: bool
+    time_ns: float
+    position_reason: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., itow_ms: _Optional[int] = ..., integrity_risk: _Optional[float] = ..., position_valid: _Optional[bool] = ..., position_frame: _Optional[_Union[GnssProtection.Frame, str]] = ..., position_m: _Optional[_Iterable[float]] = ..., position_orient_deg: _Optional[float] = ..., velocity_valid: _Optional[bool] = ..., velocity_frame: _Optional[_Union[GnssProtection.Frame, str]] = ..., velocity_mps: _Optional[_Iterable[float]] = ..., velocity_orient_deg: _Optional[float] = ..., time_valid: _Optional[bool] = ..., time_ns: _Optional[float] = ..., position_reason: _Optional[int] = ...) -> None: ...
+
+class GnssBaseline(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "itow_ms", "reference_station", "valid", "carrier", "north_m", "east_m", "down_m", "north_std_m", "east_std_m", "down_std_m", "length_m", "length_std_m", "heading_deg", "heading_std_deg", "flags")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    ITOW_MS_FIELD_NUMBER: _ClassVar[int]
+    REFERENCE_STATION_FIELD_NUMBER: _ClassVar[int]
+    VALID_FIELD_NUMBER: _ClassVar[int]
+    CARRIER_FIELD_NUMBER: _ClassVar[int]
+    NORTH_M_FIELD_NUMBER: _ClassVar[int]
+    EAST_M_FIELD_NUMBER: _ClassVar[int]
+    DOWN_M_FIELD_NUMBER: _ClassVar[int]
+    NORTH_STD_M_FIELD_NUMBER: _ClassVar[int]
+    EAST_STD_M_FIELD_NUMBER: _ClassVar[int]
+    DOWN_STD_M_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_M_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_STD_M_FIELD_NUMBER: _ClassVar[int]
+    HEADING_DEG_FIELD_NUMBER: _ClassVar[int]
+    HEADING_STD_DEG_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    itow_ms: int
+    reference_station: int
+    valid: bool
+    carrier: GnssFix.Carrier
+    north_m: float
+    east_m: float
+    down_m: float
+    north_std_m: float
+    east_std_m: float
+    down_std_m: float
+    length_m: float
+    length_std_m: float
+    heading_deg: float
+    heading_std_deg: float
+    flags: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., itow_ms: _Optional[int] = ..., reference_station: _Optional[int] = ..., valid: _Optional[bool] = ..., carrier: _Optional[_Union[GnssFix.Carrier, str]] = ..., north_m: _Optional[float] = ..., east_m: _Optional[float] = ..., down_m: _Optional[float] = ..., north_std_m: _Optional[float] = ..., east_std_m: _Optional[float] = ..., down_std_m: _Optional[float] = ..., length_m: _Optional[float] = ..., length_std_m: _Optional[float] = ..., heading_deg: _Optional[float] = ..., heading_std_deg: _Optional[float] = ..., flags: _Optional[int] = ...) -> None: ...
+
+class GnssOscillator(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "itow_ms", "bias_ns", "drift_nsps", "time_std_ns", "drift_std_psps")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    ITOW_MS_FIELD_NUMBER: _ClassVar[int]
+    BIAS_NS_FIELD_NUMBER: _ClassVar[int]
+    DRIFT_NSPS_FIELD_NUMBER: _ClassVar[int]
+    TIME_STD_NS_FIELD_NUMBER: _ClassVar[int]
+    DRIFT_STD_PSPS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    itow_ms: int
+    bias_ns: float
+    drift_nsps: float
+    time_std_ns: float
+    drift_std_psps: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., itow_ms: _Optional[int] = ..., bias_ns: _Optional[float] = ..., drift_nsps: _Optional[float] = ..., time_std_ns: _Optional[float] = ..., drift_std_psps: _Optional[float] = ...) -> None: ...
+
+class GnssSpectrum(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "bands")
+    class Band(_message.Message):
+        __slots__ = ("level", "span_hz", "resolution_hz", "centre_hz", "gain_db")
+        LEVEL_FIELD_NUMBER: _ClassVar[int]
+        SPAN_HZ_FIELD_NUMBER: _ClassVar[int]
+        RESOLUTION_HZ_FIELD_NUMBER: _ClassVar[int]
+        CENTRE_HZ_FIELD_NUMBER: _ClassVar[int]
+        GAIN_DB_FIELD_NUMBER: _ClassVar[int]
+        level: bytes
+        span_hz: float
+        resolution_hz: float
+        centre_hz: float
+        gain_db: int
+        def __init__(self, level: _Optional[bytes] = ..., span_hz: _Optional[float] = ..., resolution_hz: _Optional[float] = ..., centre_hz: _Optional[float] = ..., gain_db: _Optional[int] = ...) -> None: ...
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    BANDS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    bands: _containers.RepeatedCompositeFieldContainer[GnssSpectrum.Band]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., bands: _Optional[_Iterable[_Union[GnssSpectrum.Band, _Mapping]]] = ...) -> None: ...
+
+class GnssCorrection(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "source", "protocol", "message_type", "message_subtype", "station", "damaged", "use", "ebno_db")
+    class Use(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        USE_UNKNOWN: _ClassVar[GnssCorrection.Use]
+        NOT_USED: _ClassVar[GnssCorrection.Use]
+        USED: _ClassVar[GnssCorrection.Use]
+    USE_UNKNOWN: GnssCorrection.Use
+    NOT_USED: GnssCorrection.Use
+    USED: GnssCorrection.Use
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    PROTOCOL_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_TYPE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_SUBTYPE_FIELD_NUMBER: _ClassVar[int]
+    STATION_FIELD_NUMBER: _ClassVar[int]
+    DAMAGED_FIELD_NUMBER: _ClassVar[int]
+    USE_FIELD_NUMBER: _ClassVar[int]
+    EBNO_DB_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    source: str
+    protocol: int
+    message_type: int
+    message_subtype: int
+    station: int
+    damaged: bool
+    use: GnssCorrection.Use
+    ebno_db: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., source: _Optional[str] = ..., protocol: _Optional[int] = ..., message_type: _Optional[int] = ..., message_subtype: _Optional[int] = ..., station: _Optional[int] = ..., damaged: _Optional[bool] = ..., use: _Optional[_Union[GnssCorrection.Use, str]] = ..., ebno_db: _Optional[float] = ...) -> None: ...
+
+class GnssDilution(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "itow_ms", "geometric", "position", "time", "vertical", "horizontal", "north", "east")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    ITOW_MS_FIELD_NUMBER: _ClassVar[int]
+    GEOMETRIC_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    VERTICAL_FIELD_NUMBER: _ClassVar[int]
+    HORIZONTAL_FIELD_NUMBER: _ClassVar[int]
+    NORTH_FIELD_NUMBER: _ClassVar[int]
+    EAST_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    itow_ms: int
+    geometric: float
+    position: float
+    time: float
+    vertical: float
+    horizontal: float
+    north: float
+    east: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., itow_ms: _Optional[int] = ..., geometric: _Optional[float] = ..., position: _Optional[float] = ..., time: _Optional[float] = ..., vertical: _Optional[float] = ..., horizontal: _Optional[float] = ..., north: _Optional[float] = ..., east: _Optional[float] = ...) -> None: ...

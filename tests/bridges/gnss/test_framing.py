@@ -98,15 +98,19 @@ def test_any_cut_gives_the_same_frames_and_rejections(stream: bytes, places: lis
 @settings(max_examples=200)
 @given(streams)
 def test_frames_and_rejections_tile_the_stream(stream: bytes) -> None:
-    at = 0
+    at, sentence = 0, False
     for item in run([stream]):
+        if sentence:  # what is left of a line's end belongs to it
+            assert set(stream[at : item.start]) <= set(b"\r\n")
+            at = item.start
         if isinstance(item, Frame):
             assert (item.start, item.raw) == (at, stream[at : item.end + 1])
             at = item.end + 1
         else:
             assert item.start == at
             at += item.size
-    assert at == len(stream)
+        sentence = isinstance(item, Frame) and item.protocol == NMEA
+    assert at == len(stream) or (sentence and not stream[at:].strip(b"\r\n"))
 
 
 @settings(max_examples=200)
@@ -196,7 +200,7 @@ def test_valid_outer_frame_wins_over_what_lies_inside() -> None:
 
 
 def test_length_that_the_type_cannot_have_is_refused_however_good_the_checksum() -> None:
-    short = ubx_frame(NAV_PVT, bytes(84))
+    short = ubx_frame(NAV_PVT, bytes(85))
     long = ubx_frame(NAV_PVT, bytes(96))
     miscounted = ubx_frame(RXM_RAWX, bytes(11) + b"\x02" + bytes(4) + bytes(96))
     framer = Framer()
@@ -232,7 +236,7 @@ def test_sentence_with_a_foreign_byte_is_refused() -> None:
 
 
 def test_sentence_without_end_does_not_swallow_the_next() -> None:
-    assert delivered(GGA[:-2] + GGA) == [GGA]
+    assert delivered(GGA[:-4] + GGA) == [GGA]
     assert delivered(b"$GNGGA," + b"1" * 5000 + GGA) == [GGA]
 
 
@@ -242,13 +246,67 @@ def test_text_header_is_noise() -> None:
 
 
 def test_every_truncation_keeps_the_whole_frames() -> None:
+    """A sentence is whole with its checksum; what there is of its line end belongs to it."""
     stream = PVT + GGA + CORRECTION
     for size in range(len(stream)):
-        assert delivered(stream[:size]) == [
-            frame
-            for frame, end in ((PVT, 100), (GGA, 100 + len(GGA)))
-            if end <= size
-        ]  # fmt: skip
+        found = delivered(stream[:size])
+        assert found[:1] == [PVT][: size >= len(PVT)]
+        assert len(found) == (size >= len(PVT)) + (size >= len(PVT + GGA) - len(b"\r\n"))
+        assert all(frame.rstrip() == GGA.rstrip() for frame in found[1:])
+
+
+LINE_ENDS = (b"\r\n", b"\n", b"\n\n", b"\r\r\n", b"\r\n\r\n", b"\r", b"\n\r", b"\r\r\r\n", b"")
+
+
+@pytest.mark.parametrize("end", LINE_ENDS, ids=repr)
+def test_sentence_may_end_its_line_as_it_likes(end: bytes) -> None:
+    """As after an editor, git, or a terminal that was not raw; nothing of it is rejected."""
+    sentence = GGA.rstrip() + end
+    framer = Framer()
+    out = framer.feed(3 * sentence + PVT + sentence) + framer.flush()
+    assert all(isinstance(item, Frame) for item in out)
+    assert [item.name for item in out if isinstance(item, Frame)] == [
+        "GNGGA", "GNGGA", "GNGGA", "NAV-PVT", "GNGGA",
+    ]  # fmt: skip
+    assert framer.bytes_rejected == framer.bytes_pending == 0
+    assert framer.bytes_in == framer.bytes_in_frames
+    payloads = {item.payload for item in out if isinstance(item, Frame) and item.protocol == NMEA}
+    assert payloads == {GGA[1:-5]}
+
+
+@settings(max_examples=100)
+@given(
+    st.lists(st.tuples(st.sampled_from([GGA.rstrip(), PVT, b"#"]), st.sampled_from(LINE_ENDS))),
+    st.lists(st.integers(0, 400), max_size=8),
+)
+def test_line_ends_are_the_same_wherever_the_stream_is_cut(
+    lines: list[tuple[bytes, bytes]], places: list[int]
+) -> None:
+    stream = b"".join(line + end for line, end in lines)
+    whole, pieces = Framer(), Framer()
+    expected = whole.feed(stream) + whole.flush()
+    found: list[Frame | Rejected] = []
+    for piece in cut(stream, [min(place, len(stream)) for place in places]):
+        found += pieces.feed(piece)
+    assert found + pieces.flush() == expected
+    assert pieces.bytes_rejected == whole.bytes_rejected
+    assert pieces.bytes_in == pieces.bytes_in_frames + pieces.bytes_rejected
+
+
+def test_line_end_is_waited_for_no_longer_than_until_something_else_comes() -> None:
+    framer = Framer()
+    assert framer.feed(GGA.rstrip()) == []
+    assert framer.bytes_pending == len(GGA.rstrip())
+    (first,) = framer.feed(b"\xb5")
+    assert isinstance(first, Frame)
+    assert first.raw == GGA.rstrip()
+
+
+@pytest.mark.parametrize("size", [84, 92])
+def test_message_may_have_the_length_of_any_of_its_forms(size: int) -> None:
+    """NAV-PVT of u-blox 7 has 84 bytes (GPS.G7-SW-12001, 35.15), since u-blox 8 it has 92."""
+    frame = ubx_frame(NAV_PVT, bytes(size))
+    assert delivered(frame + PVT) == [frame, PVT]
 
 
 @given(st.binary(max_size=1026))

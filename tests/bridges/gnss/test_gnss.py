@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from tramstream import keys
 from tramstream.bridges.gnss import ubx
-from tramstream.bridges.gnss.bridge import GnssBridge, epoch_times, unix_like_ns
+from tramstream.bridges.gnss.bridge import GnssBridge
+from tramstream.bridges.gnss.capture import epoch_times, unix_like_ns
 from tramstream.bridges.gnss.clock import WEEK_NS, GpsTimeline, utc_ns
 from tramstream.bridges.gnss.framer import UBX, Frame, Framer, nmea_frame, rtcm3_frame, ubx_frame
 from tramstream.bridges.gnss.ubx_layouts import LAYOUTS
@@ -235,7 +236,9 @@ def test_high_rate_solution_is_a_fix_only_until_navigation_is_seen() -> None:
     out = step_all(bridge, reads)
     fixes = on(out, keys.GNSS_FIX)
     assert [f.message.source for f in fixes] == ["HNR-PVT"] * 3 + ["NAV-PVT"]
-    assert [f.message.name for f in on(out, keys.GNSS_FRAME)] == ["HNR-PVT"]
+    high_rate = on(out, keys.GNSS_HIGH_RATE)
+    assert [f.message.source for f in high_rate] == ["HNR-PVT"]
+    assert high_rate[0].message.gps_time_ns == START_NS + 4 * S // 10
     assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
 
 
@@ -277,10 +280,10 @@ def test_leap_seconds_only_where_valid() -> None:
 
 
 def test_unknown_frames_go_out_whole() -> None:
-    data = ubx_frame(0x0122, b"abc") + ubx_frame(0x7F01, b"x") + ubx.encode("MON-VER")
+    data = ubx_frame(0x0134, b"abc") + ubx_frame(0x7F01, b"x") + ubx.encode("MON-VER")
     out = GnssBridge(VEHICLE).step(raw(data + ubx_frame(0x0A04, b""), BOOT_NS))
     assert [(s.message.name, len(s.message.payload)) for s in out] == [
-        ("NAV-CLOCK", 3), ("7F-01", 1), ("MON-VER", 40), ("MON-VER", 0),
+        ("NAV-ORB", 3), ("7F-01", 1), ("MON-VER", 40), ("MON-VER", 0),
     ]  # fmt: skip
     assert {s.key for s in out} == {keys.GNSS_FRAME}
     assert {s.stamp_ns for s in out} == {BOOT_NS}  # arrival, as the key says
@@ -310,7 +313,7 @@ def test_pulse_sensors_and_subframes_are_stamped_with_their_arrival() -> None:
 
 
 def test_refused_payload_is_counted_and_nothing_is_lost_behind_it() -> None:
-    short = ubx_frame(0x0107, solution(START_NS)[6:-10])
+    short = ubx_frame(0x0107, solution(START_NS)[6:-11])
     esf = ubx.encode("ESF-MEAS", {"flags": 3 << 11}, [[1]])  # says three, has one
     bridge = GnssBridge(VEHICLE)
     out = bridge.step(raw(short + esf + solution(START_NS), BOOT_NS))
