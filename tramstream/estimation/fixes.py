@@ -104,10 +104,5 @@ def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:
 
 def antenna_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float, float]:
     """Position of the antenna in l, m."""
-    row = (
-        math.radians(fix.latitude_deg),
-        math.radians(fix.longitude_deg),
-        fix.height_ellipsoid_m,
-    )
-    east, north, up = level.from_geodetic(row).tolist()
-    return east, north, up
+    latitude, longitude = math.radians(fix.latitude_deg), math.radians(fix.longitude_deg)
+    return level.place(latitude, longitude, fix.height_ellipsoid_m)
