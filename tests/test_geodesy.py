@@ -42,6 +42,13 @@ def test_epsg_example_gives_the_printed_local_level_position() -> None:
     assert level.from_geodetic(EPSG_GEODETIC) == pytest.approx(EPSG_P_L, abs=MM)
 
 
+@given(latitudes, longitudes, heights)
+def test_one_place_is_where_its_row_is(latitude: float, longitude: float, height: float) -> None:
+    level = LocalLevel.at_deg(50.0, 14.4, 250.0)
+    row = level.from_geodetic((latitude, longitude, height))
+    assert level.place(latitude, longitude, height) == pytest.approx(row, abs=MICROMETRE)
+
+
 def test_epsg_topocentric_origin_is_55_north_5_east_200_metres() -> None:
     level = LocalLevel.at_deg(55.0, 5.0, 200.0)
     assert level.origin_e == pytest.approx(EPSG_ORIGIN_E, abs=0.1 * MM)

@@ -11,6 +11,7 @@ IOGP Publication 373-7-2 (EPSG Guidance Note 7-2), methods 9602, 9836 and 9837.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -139,6 +140,8 @@ class LocalLevel:
     """Turn of Earth-fixed components into east, north, up of the origin, shape (3, 3)."""
     origin_e: Array = field(init=False, repr=False, compare=False)
     """The origin, Earth-fixed, m."""
+    _numbers: tuple[list[list[float]], list[float]] = field(init=False, repr=False, compare=False)
+    """The two once more, as `place` needs them."""
 
     def __post_init__(self) -> None:
         sin_lat, cos_lat = np.sin(self.latitude_rad), np.cos(self.latitude_rad)
@@ -155,6 +158,7 @@ class LocalLevel:
             array.flags.writeable = False
         object.__setattr__(self, "C_le", C_le)
         object.__setattr__(self, "origin_e", origin_e)
+        object.__setattr__(self, "_numbers", (C_le.tolist(), origin_e.tolist()))
 
     @classmethod
     def at_deg(cls, latitude_deg: float, longitude_deg: float, height_m: float) -> LocalLevel:
@@ -165,6 +169,23 @@ class LocalLevel:
         """Local level position of geodetic rows, m (EPSG method 9837)."""
         p_l: Array = (ecef_from_geodetic(geodetic) - self.origin_e) @ self.C_le.T
         return p_l
+
+    def place(
+        self, latitude_rad: float, longitude_rad: float, height_m: float
+    ) -> tuple[float, float, float]:
+        """Local level position of one place, m: `from_geodetic` without an array for each step."""
+        sin, cos = math.sin(latitude_rad), math.cos(latitude_rad)
+        normal = SEMI_MAJOR_M / math.sqrt(1.0 - E2 * sin * sin)
+        radius = (normal + height_m) * cos
+        ((ex, ey, ez), (nx, ny, nz), (ux, uy, uz)), origin = self._numbers
+        x = radius * math.cos(longitude_rad) - origin[0]
+        y = radius * math.sin(longitude_rad) - origin[1]
+        z = (normal * (1.0 - E2) + height_m) * sin - origin[2]
+        return (
+            ex * x + ey * y + ez * z,
+            nx * x + ny * y + nz * z,
+            ux * x + uy * y + uz * z,
+        )
 
     def to_geodetic(self, p_l: ArrayLike) -> Array:
         """Geodetic rows of local level positions; rad, rad, m."""

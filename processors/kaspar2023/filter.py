@@ -18,7 +18,7 @@ import numpy as np
 from tramstream.estimation.filterpy_base import ExtendedKalmanFilter
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
 from tramstream.processors.kaspar2023 import model
-from tramstream.processors.kaspar2023.model import COLUMNS, ENTRIES, ROWS, SIZE, STEP_S
+from tramstream.processors.kaspar2023.model import COLUMNS, ENTRIES, PATTERN, ROWS, SIZE, STEP_S
 
 ENTRY_COUNT = len(ENTRIES)
 NO_GATE = math.inf
@@ -31,7 +31,7 @@ def _predict(x: Array, P: Array, F: Array, Q: Array, dt_s: float) -> None:
     values = np.empty(ENTRY_COUNT)
     model.transition(x, dt_s, values)
     model.move(x, dt_s)
-    predict_covariance(P, ROWS, COLUMNS, values, ENTRY_COUNT, np.empty((SIZE, SIZE)))
+    predict_covariance(P, PATTERN, values, ENTRY_COUNT, np.empty((SIZE, SIZE)))
     P += Q
     for k in range(ENTRY_COUNT):
         i, j = ROWS[k], COLUMNS[k]

@@ -23,7 +23,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from tramstream.estimation.kalman import Array, compiled
+from tramstream.estimation.kalman import Array, Pattern, compiled
 from tramstream.simulation.imu import ImuErrors, instability_density
 
 STEP_S = 0.01
@@ -100,6 +100,7 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
 
 ROWS = np.array([int(row) for row, _ in ENTRIES])
 COLUMNS = np.array([int(column) for _, column in ENTRIES])
+PATTERN = Pattern.of(ROWS, COLUMNS)
 
 
 @compiled

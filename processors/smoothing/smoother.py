@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tramstream.estimation.kalman import Array, compiled, predict_covariance
+from tramstream.estimation.kalman import Array, Pattern, compiled, predict_covariance
 from tramstream.estimation.localiser import Estimate
 from tramstream.estimation.records import Records, numbers, one
 from tramstream.geodesy import LocalLevel
@@ -51,6 +51,9 @@ from tramstream.processors.tram_model.motion import move
 from tramstream.processors.tram_model.records import MEMORY, PARAMETERS, SITUATION
 from tramstream.processors.tram_model.states import COLUMNS, ENTRY_COUNT, ROWS, SIZE
 
+TRANSPOSED = Pattern.of(COLUMNS, ROWS)
+"""Of Fᵀ."""
+
 
 @compiled
 def _over_prediction(adjoint: Array, Lambda: Array, values: Array, work: Array) -> None:
@@ -59,7 +62,7 @@ def _over_prediction(adjoint: Array, Lambda: Array, values: Array, work: Array) 
     for k in range(ENTRY_COUNT):
         adjoint[COLUMNS[k]] += values[k] * work[0, ROWS[k]]
     # The algebra of a covariance with Fᵀ in the place of F.
-    predict_covariance(Lambda, COLUMNS, ROWS, values, ENTRY_COUNT, work)
+    predict_covariance(Lambda, TRANSPOSED, values, ENTRY_COUNT, work)
 
 
 @compiled
@@ -84,8 +87,12 @@ def _over_scalar(
             Lambda[i, j] -= change
             Lambda[j, i] -= change
     for k in range(h.shape[0]):
-        for n in range(h.shape[0]):
-            Lambda[int(columns[k]), int(columns[n])] += spread * h[k] * h[n]
+        j = int(columns[k])
+        Lambda[j, j] += spread * h[k] * h[k]
+        for n in range(k):
+            i, change = int(columns[n]), spread * h[k] * h[n]
+            Lambda[i, j] += change
+            Lambda[j, i] += change
 
 
 @compiled

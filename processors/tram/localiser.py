@@ -28,7 +28,7 @@ from tramstream.processors.tram.predictor import Ahead
 from tramstream.processors.tram_filter import estimate as estimates
 from tramstream.processors.tram_filter import events
 from tramstream.processors.tram_filter.filter import GYRO_Z, SPEED
-from tramstream.processors.tram_filter.modes import TRANSITIONS, Event, Phase
+from tramstream.processors.tram_filter.modes import RUNNING, TRANSITIONS, Event, Phase
 from tramstream.processors.tram_sources.gnss import doubts, speed_over_ground
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -100,7 +100,7 @@ class TramLocaliser:
         self._detect_silence(navigation, frame)
         standing = self._observe(navigation, frame, gap_s)
         noise = self._standstill.noise if memory.inertial else None
-        if memory.phase is Phase.RUNNING:
+        if memory.phase is RUNNING:
             verdicts = navigation.run(frame, standing, noise)
         else:
             verdicts = self._align(navigation, frame, standing)
@@ -118,7 +118,7 @@ class TramLocaliser:
         if memory.far_ns[0] and self._first_fix_was_wrong():
             self._restart(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
             return None
-        if self._watcher is not None and memory.phase is Phase.RUNNING:
+        if self._watcher is not None and memory.phase is RUNNING:
             self._watcher.heading_confirmed(navigation)
         memory.last = self._estimate(navigation, standing, verdicts)
         return memory.last
@@ -127,7 +127,7 @@ class TramLocaliser:
         """Give the frame without sensors that do not live."""
         liveness, standstill = self._liveness, self._standstill
         stamp_ns, dead = frame.stamp_ns, liveness.wheels_dead
-        running = self.memory.phase is Phase.RUNNING
+        running = self.memory.phase is RUNNING
         sure_mps = navigation.sure_mps if running and frame.gnss else 0.0
         honest = liveness.honest(frame, standstill.fast_s(stamp_ns), sure_mps)
         if not liveness.found:
@@ -178,19 +178,19 @@ class TramLocaliser:
         memory.inertial = navigation.read(frame)
         standstill = self._standstill
         counted_m = 0.0
-        for reading in frame.odometry:
+        for reading in frame.odometry[:]:
             counted_m += self._note_wheels(reading)
         if counted_m:
             self._liveness.roll(counted_m)
         x, variances, stamp_ns = navigation.ekf.state, navigation.ekf.variances, memory.stamp_ns
-        running = memory.phase is Phase.RUNNING
+        running = memory.phase is RUNNING
         speed, variance = (x[SPEED], variances[SPEED]) if running else (math.nan, 0.0)
         u = navigation.reading if memory.inertial else None
         standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, x[GYRO_Z])
         if not standing:
             heard = stamp_ns - memory.wheels_ns < HEARD_S * S
             memory.way_m += counted_m if heard else UNSEEN_MPS * gap_s
-        for fix in frame.gnss:
+        for fix in frame.gnss[:]:
             if fix.valid:
                 self._note_fix(navigation, fix)
         return standing
@@ -266,9 +266,9 @@ class TramLocaliser:
         silent_s = (frame.stamp_ns - (memory.heard_ns or frame.stamp_ns)) / S
         if frame.HasField("imu") or frame.odometry:
             memory.heard_ns = frame.stamp_ns
-        if silent_s <= SILENT_S or memory.phase not in (Phase.SEEKING, Phase.RUNNING):
+        if silent_s <= SILENT_S or memory.phase not in (Phase.SEEKING, RUNNING):
             return
-        running = memory.phase is Phase.RUNNING
+        running = memory.phase is RUNNING
         if running and memory.parked is None and self._standstill.standing:
             memory.parked = Parked.of(navigation)
         if silent_s > BLIND_S:
@@ -283,7 +283,7 @@ class TramLocaliser:
         if memory.heard_ns != frame.stamp_ns:
             return
         moved = parked.moved(frame.odometry, frame.gnss, navigation, standing)
-        if moved is None and (standing or memory.phase is not Phase.RUNNING):
+        if moved is None and (standing or memory.phase is not RUNNING):
             return
         if moved is False:
             parked.resume(navigation, frame.stamp_ns)
@@ -321,7 +321,7 @@ class TramLocaliser:
     def _estimate(
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
     ) -> Estimate:
-        memory, running = self.memory, self.memory.phase is Phase.RUNNING
+        memory, running = self.memory, self.memory.phase is RUNNING
         mode = navigation.mode(memory.stamp_ns) if running else HEADING_UNKNOWN
         estimate = navigation.ekf.estimate(memory.stamp_ns, mode, standing, verdicts)
         if standing:
@@ -345,7 +345,7 @@ class TramLocaliser:
         )
 
     def follow(self, track: LocalTrack) -> bool:
-        navigation, running = self._navigation, self.memory.phase is Phase.RUNNING
+        navigation, running = self._navigation, self.memory.phase is RUNNING
         return navigation is not None and running and navigation.follow(track)
 
     def see(self, mean: ImuMean) -> None:
@@ -356,7 +356,7 @@ class TramLocaliser:
         stamp_ns, last = max(self._ahead.newest_ns, memory.stamp_ns), memory.last
         if navigation is None or last is None:
             return None
-        if memory.phase is not Phase.RUNNING:
+        if memory.phase is not RUNNING:
             return replace(last, stamp_ns=stamp_ns, verdicts=[])
         values = self._ahead.predict(navigation.ekf, memory.stamp_ns)
         return estimates.of_values(values, stamp_ns, last.mode, last.standing, [])

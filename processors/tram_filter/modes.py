@@ -46,6 +46,10 @@ class Phase(Enum):
     """The heading is known."""
 
 
+WAITING, RUNNING = Phase.WAITING, Phase.RUNNING
+"""Asked for with every frame: a member is looked up in an enumeration eight times as long."""
+
+
 class Event(Enum):
     """What ends a phase."""
 
@@ -80,9 +84,9 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
 
 def published_mode(phase: Phase, since_accepted_s: float) -> int:
     """What `MotionState.mode` says, by the phase and the age of the last accepted fix."""
-    if phase is Phase.WAITING:
+    if phase is WAITING:
         return STARTING
-    if phase is not Phase.RUNNING:
+    if phase is not RUNNING:
         return HEADING_UNKNOWN
     return DEAD_RECKONING if since_accepted_s > DEAD_RECKONING_S else TRACKING
 
@@ -96,6 +100,10 @@ class Drive(Enum):
     COASTING = "nothing"
 
 
+INERTIAL, BRIDGED, COASTING = Drive.INERTIAL, Drive.BRIDGED, Drive.COASTING
+"""Asked for with every reading; see `RUNNING`."""
+
+
 def drive_by_reading(pause_s: float, one_before: bool) -> Drive:
     """What drives the motion up to a usable inertial reading.
 
@@ -107,8 +115,8 @@ def drive_by_reading(pause_s: float, one_before: bool) -> Drive:
         Whether there is a reading of the accelerometer before it that could stand for the pause.
     """
     if pause_s <= HELD_S:
-        return Drive.INERTIAL
-    return Drive.BRIDGED if one_before and pause_s <= BRIDGED_S else Drive.COASTING
+        return INERTIAL
+    return BRIDGED if one_before and pause_s <= BRIDGED_S else COASTING
 
 
 def drive_without_reading(
@@ -127,4 +135,4 @@ def drive_without_reading(
         return None
     if rate_read:
         return Drive.YAW_RATE
-    return Drive.COASTING if since_rate_ns > RATE_HELD_S * S else None
+    return COASTING if since_rate_ns > RATE_HELD_S * S else None

@@ -40,6 +40,7 @@ from tramstream.processors.tram_model.records import (
 from tramstream.processors.tram_model.states import (
     COLUMNS,
     ENTRY_COUNT,
+    PATTERN,
     ROWS,
     WITHOUT_HEAVE,
     Ix,
@@ -336,7 +337,7 @@ def predict_along(f: Memory, c: Parameters, s: Situation, u: Reading, dt: float)
     for k in range(ENTRY_COUNT):
         f.entries[k] = f.A[ROWS[k], COLUMNS[k]]
     count = ENTRY_COUNT if c.vertical_density > 0.0 else WITHOUT_HEAVE
-    predict_covariance(f.P, ROWS, COLUMNS, f.entries, count, f.scratch)
+    predict_covariance(f.P, PATTERN, f.entries, count, f.scratch)
     add_noise(f.x, f.P, c, s, u, dt)
 
 

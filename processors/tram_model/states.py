@@ -17,6 +17,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from tramstream.estimation.kalman import Pattern
+
 
 class Ix(IntEnum):
     """Slots of the state vector."""
@@ -142,6 +144,7 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
 
 ROWS = np.array([int(row) for row, _ in ENTRIES])
 COLUMNS = np.array([int(column) for _, column in ENTRIES])
+PATTERN = Pattern.of(ROWS, COLUMNS)
 ENTRY_COUNT = len(ENTRIES)
 WITHOUT_HEAVE = sum(Ix.HEAVE not in (row, column) for row, column in ENTRIES)
 """Entries of A that are not always 0 where the vertical force is not used."""

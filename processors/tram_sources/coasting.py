@@ -20,7 +20,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import Records
 from tramstream.processors.tram_filter.filter import SPEED, TramFilter
-from tramstream.processors.tram_filter.modes import BRIDGED_S, Drive
+from tramstream.processors.tram_filter.modes import BRIDGED_S, INERTIAL, Drive
 from tramstream.processors.tram_model.records import X, Y, Z, situation
 from tramstream.processors.tram_model.states import Ix
 
@@ -59,8 +59,8 @@ class MotionNoise:
 
     def inertial(self, ekf: TramFilter) -> None:
         """Go on with a reading."""
-        if self.memory.drive is not Drive.INERTIAL:
-            self._tell(ekf, Drive.INERTIAL, self._inertial)
+        if self.memory.drive is not INERTIAL:
+            self._tell(ekf, INERTIAL, self._inertial)
 
     def bridge(self, ekf: TramFilter, pause_s: float) -> None:
         """Go on with the readings on either side of a pause: they tell the less, the longer."""

@@ -19,6 +19,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import numbers, one
 from tramstream.events.kinds import Event
+from tramstream.processors.tram_filter import modes
 from tramstream.processors.tram_filter.events import (
     DRAWN_STRAIGHT,
     IMPOSSIBLE_READING,
@@ -103,14 +104,14 @@ class Readings:
         drive = drive_without_reading(*ages_ns, turns)
         if drive is Drive.YAW_RATE:
             self._read_rate(rates[-1], ekf)
-        elif drive is Drive.COASTING:
+        elif drive is modes.COASTING:
             self._coast(ekf)
         return became
 
     @property
     def coasting(self) -> bool:
         """Whether nothing tells of the motion."""
-        return self.memory.noise.drive is Drive.COASTING
+        return self.memory.noise.drive is modes.COASTING
 
     def leave_out(self, ekf: TramFilter, until_ns: int) -> None:
         """Do without the IMU until then."""
@@ -123,10 +124,10 @@ class Readings:
         if stamp_ns < memory.out_ns:
             return ABSENT
         dt = (stamp_ns - memory.read_ns) / S if memory.read_ns else 0.0
-        drive = Drive.INERTIAL
+        drive = modes.INERTIAL
         if dt > HELD_S:
             drive = drive_by_reading(dt, bool(self._now["accelerometer"][0] != 0.0))
-        lasts = 0.0 if drive is Drive.COASTING else dt
+        lasts = 0.0 if drive is modes.COASTING else dt
         became = axes.take_reading(self.numbers, self._C_vb, *axes.scalars_of(mean), lasts)
         if became != TAKEN:
             if became == STUCK:
@@ -137,14 +138,14 @@ class Readings:
             memory.stuck = False
             self._complaints.append(IMU_LIVES(key=keys.IMU_BATCH.path))
         memory.read_ns = stamp_ns
-        if drive is Drive.INERTIAL and self._straight[0] >= axes.STRAIGHT_READINGS:
+        if drive is modes.INERTIAL and self._straight[0] >= axes.STRAIGHT_READINGS:
             if self._straight[0] == axes.STRAIGHT_READINGS:
                 self._complaints.append(DRAWN_STRAIGHT(key=keys.IMU_BATCH.path))
             self._noise.follow_line(ekf, self.inertial["between"])
             return DRAWN
-        if drive is Drive.INERTIAL:
+        if drive is modes.INERTIAL:
             self._noise.inertial(ekf)
-        elif drive is Drive.BRIDGED:
+        elif drive is modes.BRIDGED:
             self._noise.bridge(ekf, dt)
         else:
             self._hold("between", ekf)

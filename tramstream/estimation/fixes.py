@@ -153,6 +153,4 @@ def velocity_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float] | None:
 def antenna_l(fix: GnssFix, level: LocalLevel) -> tuple[float, float, float]:
     """Position of the antenna in l, m."""
     latitude_deg, longitude_deg, height_m = place_deg(fix, level.height_m)
-    row = math.radians(latitude_deg), math.radians(longitude_deg), height_m
-    east, north, up = level.from_geodetic(row).tolist()
-    return east, north, up
+    return level.place(math.radians(latitude_deg), math.radians(longitude_deg), height_m)

@@ -14,6 +14,7 @@ Equations: docs/theory.md, section 4.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,41 +25,72 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
+class Pattern(NamedTuple):
+    """Where A of a transition F = I + A has entries."""
+
+    moving: Indices
+    """Rows that have any, in order."""
+    places: Indices
+    """Of each entry: which of those rows."""
+    columns: Indices
+    """Of each entry."""
+
+    @classmethod
+    def of(cls, rows: Indices, columns: Indices) -> Pattern:
+        """Make the pattern of entries in these rows and columns."""
+        moving, places = np.unique(rows, return_inverse=True)
+        return cls(moving, places.astype(np.int64), columns)
+
+
 @compiled
-def predict_covariance(
-    P: Array, rows: Indices, columns: Indices, values: Array, count: int, work: Array
-) -> None:
-    """P ← (I + A) P (I + A)ᵀ for A with `count` entries (row, column, value).
+def predict_covariance(P: Array, pattern: Pattern, values: Array, count: int, work: Array) -> None:
+    """P ← F P Fᵀ for F = I + A, where A has `count` entries.
+
+    Only what moves is touched: rows and columns of states that A has a row for.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
         Symmetric; changed in place.
-    rows, columns : ndarray, shape (≥ count,)
-        Entries of A; several in one place add up.
+    pattern : Pattern
+        Where the entries are; several in one place add up.
     values : ndarray, shape (≥ count,)
-    work : ndarray, shape (n, n)
-        Scratch.
+        The entries.
+    work : ndarray, shape (≥ m, n)
+        Scratch, for the m rows that have entries.
     """
+    moving, count_moving = pattern.moving, pattern.moving.shape[0]
+    _multiply(P, pattern, values, count, work)
+    for r in range(count_moving):  # P Fᵀ, which is (F P)ᵀ
+        i = moving[r]
+        for j in range(P.shape[0]):
+            P[j, i] = work[r, j]
+    _multiply(P, pattern, values, count, work)
+    for r in range(count_moving):
+        i = moving[r]
+        for j in range(P.shape[0]):
+            P[i, j] = work[r, j]
+        for j in range(P.shape[0]):
+            P[j, i] = work[r, j]
+    for r in range(count_moving):  # the two halves differ by rounding
+        i = moving[r]
+        for s in range(r):
+            j = moving[s]
+            P[i, j] = P[j, i] = 0.5 * (work[r, j] + work[s, i])
+
+
+@compiled
+def _multiply(P: Array, pattern: Pattern, values: Array, count: int, product: Array) -> None:
+    """Fill `product` with the moving rows of F P."""
     n = P.shape[0]
-    for i in range(n):
+    for r in range(pattern.moving.shape[0]):
+        i = pattern.moving[r]
         for j in range(n):
-            work[i, j] = P[i, j]
+            product[r, j] = P[i, j]
     for k in range(count):
-        i, j, a = rows[k], columns[k], values[k]
-        for m in range(n):
-            work[i, m] += a * P[j, m]
-    # work = (I + A) P; now its columns, into P's rows: the result is symmetric.
-    for i in range(n):
+        r, i, a = pattern.places[k], pattern.columns[k], values[k]
         for j in range(n):
-            P[i, j] = work[j, i]
-    for k in range(count):
-        i, j, a = rows[k], columns[k], values[k]
-        for m in range(n):
-            P[i, m] += a * work[m, j]
-    for i in range(n):
-        for j in range(i):
-            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
+            product[r, j] += a * P[i, j]
 
 
 @compiled

@@ -118,7 +118,7 @@ def in_level(message: TrackGeometry, level: LocalLevel, height_m: float) -> Loca
     reach = message.ahead_m, message.behind_m
     if not (math.isfinite(sum(numbers)) and math.isfinite(sum(reach)) and min(variances) > 0.0):
         return None
-    east, north, _ = level.from_geodetic((latitude, longitude, height_m)).tolist()
+    east, north, _ = level.place(latitude, longitude, height_m)
     known = message.HasField("grade_rad") and message.grade_variance_rad2 > 0.0
     return LocalTrack(
         message.stamp_ns,

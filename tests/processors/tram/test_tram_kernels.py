@@ -23,7 +23,7 @@ from tramstream.processors.tram_model.measurement import Measurement
 from tramstream.processors.tram_model.prediction_to_now import KEPT
 from tramstream.processors.tram_model.records import INERTIAL, MEMORY, READING
 from tramstream.processors.tram_model.slow_error import SlowError
-from tramstream.processors.tram_model.states import COLUMNS, ENTRIES, ROWS, SIZE, Ix
+from tramstream.processors.tram_model.states import COLUMNS, ENTRIES, PATTERN, ROWS, SIZE, Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
 from tramstream.processors.tram_model.wheel_path import WheelPath
@@ -427,7 +427,7 @@ ROW, OTHER_ROW = (np.array([0]), np.ones(1)), (np.array([1]), np.ones(1))
 def test_sparse_prediction_with_no_entries_leaves_the_covariance() -> None:
     P = covariance(np.random.default_rng(6))
     before = P.copy()
-    predict_covariance(P, ROWS, COLUMNS, np.zeros(len(ENTRIES)), 0, np.zeros((SIZE, SIZE)))
+    predict_covariance(P, PATTERN, np.zeros(len(ENTRIES)), 0, np.zeros((SIZE, SIZE)))
     np.testing.assert_allclose(P, before, rtol=RELATIVE)
 
 
