@@ -10,7 +10,7 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds")
+WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds", "day")
 
 
 def reproduce(
@@ -31,7 +31,8 @@ def reproduce(
         typer.Option(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
             "default). matching: LINE/DIRECTION or LINE; default all of the network. worlds: as "
-            "matching with --net (default 7/0), else as kaspar2023. May be given several times.",
+            "matching with --net (default 7/0), else as kaspar2023. day: default 7/0 and 7/1. May "
+            "be given several times.",
             metavar="LINE",
         ),
     ] = None,
@@ -63,7 +64,7 @@ def reproduce(
     ] = None,
     net: Annotated[
         Path | None,
-        typer.Option(help="matching, worlds: file of the track network.", metavar="FILE"),
+        typer.Option(help="matching, worlds, day: file of the track network.", metavar="FILE"),
     ] = None,
     detours: Annotated[
         int | None, typer.Option(help="matching: detours of the lines; default 20.", min=0)
@@ -72,10 +73,15 @@ def reproduce(
         list[str] | None,
         typer.Option(help="worlds: which; default all. May be given several times."),
     ] = None,
+    hours: Annotated[
+        float | None,
+        typer.Option(help="day: of which length; default 8.", min=0.1, max=24.0),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
-    matcher, of captured receivers, or of the localisation in many worlds."""
+    matcher, of captured receivers, or of the localisation in many worlds or on a day of eight
+    hours."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
@@ -84,5 +90,5 @@ def reproduce(
         raise ConfigError(f"no work is called {name!r}; there are: {', '.join(WORKS)}")
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
-    options = replace(options, network=net, detours=detours, worlds=tuple(world or ()))
+    options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

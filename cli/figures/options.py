@@ -21,3 +21,4 @@ class Options:
     network: Path | None = None
     detours: int | None = None
     worlds: tuple[str, ...] = ()
+    hours: float | None = None

@@ -70,8 +70,7 @@ def test_slip_and_slide_change_the_way_of_their_wheels_alone() -> None:
     slip = Slip(start_s=20.0, duration_s=4.0, wheels=("left",), factor=1.25)
     slide = Slide(start_s=30.0, duration_s=2.0, speed_error_mps=-0.5)
     time_s = np.array([19.0, 20.0, 22.0, 24.0, 29.0, 31.0, 40.0])
-    motion = ride().motion(time_s)
-    slipped = happenings(slip, slide).slipped_m(time_s, motion.arc_length_m)
+    slipped = happenings(slip, slide).slipped_m(time_s)
     s = ride().motion([20.0, 22.0, 24.0]).arc_length_m
     by_factor = [0, 0, 0.25 * (s[1] - s[0]), *([0.25 * (s[2] - s[0])] * 4)]
     by_speed = np.array([0, 0, 0, 0, 0, -0.5, -1.0])
@@ -83,7 +82,7 @@ def test_locked_wheel_does_not_turn() -> None:
     slide = Slide(start_s=25.0, duration_s=3.0, factor=0.0)
     time_s = np.linspace(25.0, 28.0, 50)
     motion = ride().motion(time_s)
-    slipped = happenings(slide).slipped_m(time_s, motion.arc_length_m)
+    slipped = happenings(slide).slipped_m(time_s)
     turned = motion.arc_length_m[:, None] + slipped
     np.testing.assert_allclose(turned - turned[0], 0.0, atol=MM)
 

@@ -159,14 +159,18 @@ class Happenings:
             lost |= (time_s >= blackout.start_s) & (time_s < blackout.end_s)
         return lost
 
-    def slipped_m(self, time_s: Array, arc_length_m: Array) -> Array:
-        """What left and right wheel have turned beyond their way until each instant, (n, 2)."""
+    def slipped_m(self, time_s: Array) -> Array:
+        """What left and right wheel have turned beyond their way until each instant, (n, 2).
+
+        In the direction of travel, whichever that was.
+        """
         slipped = np.zeros((len(time_s), len(SIDES)))
+        gone_m = self.ride.gone_m(time_s)
         for skid in self.skids:
             if skid.start_s > time_s[-1]:
                 continue
-            ends = self.ride.motion([skid.start_s, skid.end_s]).arc_length_m
-            way = np.clip(arc_length_m, *ends) - ends[0]
+            ends = self.ride.gone_m([skid.start_s, skid.end_s])
+            way = np.clip(gone_m, *ends) - ends[0]
             lasted = np.clip(time_s, skid.start_s, skid.end_s) - skid.start_s
             extra = (skid.factor - 1) * way + skid.speed_error_mps * lasted
             for side in skid.wheels:
@@ -182,7 +186,7 @@ class Happenings:
             start_s, departure_s = dwells[event.stop - 1].tolist()
             end_s = departure_s
         elif event.start_m is not None:
-            if event.start_m >= self.ride.line.stops_m[-1]:
+            if event.start_m >= self.ride.farthest_m:
                 return None
             start_s = self.ride.time_at_s(event.start_m)
             end_s = start_s

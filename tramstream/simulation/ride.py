@@ -2,7 +2,9 @@
 
 Speed comes from `simulation.speed_plan`. The vehicle's origin (the pivot of the front bogie) stays
 on the track and its x axis along it: no side slip, attitude from the track's heading, grade and
-cant. On a ride in reverse the rear cab leads: x points against the direction of travel.
+cant. On a ride in reverse the rear cab leads: x points against the direction of travel. Where the
+driver turns back (`Limits.turns_back`) he changes the cab and the vehicle stays as it stands: x
+keeps its direction along the line, and speed along x changes its sign.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from tramstream.geodesy import convergence_rad
 from tramstream.lines.line import Line
 from tramstream.proto import raw_pb2
-from tramstream.simulation.speed_plan import Limits, plan
+from tramstream.simulation.speed_plan import Limits, legs, plan
 
 __all__ = ["Limits", "Motion", "Ride"]
 
@@ -49,6 +51,8 @@ class Motion(NamedTuple):
 class Ride:
     """A ride from the first stop of a line to the last; it stands before, after and between.
 
+    Where the driver turns back it goes over parts of the line several times, both ways.
+
     Time is that of the ride, in seconds from its start.
 
     Parameters
@@ -58,7 +62,7 @@ class Ride:
     limits : Limits
         What the driver keeps to.
     reverse : bool
-        Drive with the rear in front: speed is negative all the way.
+        Depart with the rear in front: speed is negative until the driver turns back.
     rng : Generator, optional
         Of the dwells, where the limits have them differ; without it each is the shortest.
     """
@@ -76,30 +80,41 @@ class Ride:
         self.line = line
         self.limits = limits or Limits()
         self.direction = -1.0 if reverse else 1.0
-        """Of x of the vehicle against that of travel."""
-        self.phases = plan(line, self.limits, rng)
+        """Of x of the vehicle against that of growing arc length."""
+        self.legs = legs(line, self.limits)
+        """One, and one more for each time that the driver turns back."""
+        self.phases = plan(self.legs, self.limits, rng)
         self._standing = (self.phases.v0 == 0) & (self.phases.a0 == 0) & (self.phases.jerk == 0)
         ends = np.append(self.phases.t0[1:], np.inf)
         self.dwells_s = np.stack([self.phases.t0[self._standing], ends[self._standing]], axis=1)
-        """Arrival and departure at each stop, shape (stops, 2); the last never ends."""
+        """Arrival and departure at each halt, shape (halts, 2); the last never ends."""
 
     @property
     def duration_s(self) -> float:
         """From the start until standstill at the last stop."""
         return float(self.phases.t0[-1])
 
+    @property
+    def farthest_m(self) -> float:
+        """Largest arc length that the ride comes to."""
+        return float(np.max(self.phases.s0))
+
     def motion(self, time_s: ArrayLike) -> Motion:
         """Arc length and attitude with their rates at each instant."""
-        time = np.maximum(np.asarray(time_s, dtype=float), 0.0)
+        index, dt = self._located(time_s)
         phases = self.phases
-        index = np.searchsorted(phases.t0, time, side="right") - 1
-        dt = time - phases.t0[index]
-        v0, a0, jerk = phases.v0[index], phases.a0[index], phases.jerk[index]
-        s = phases.s0[index] + dt * (v0 + dt * (a0 / 2 + dt * jerk / 6))
-        v = v0 + dt * (a0 + dt * jerk / 2)
-        a = a0 + dt * jerk
+        v0, a0, jerk, along = (
+            phases.v0[index],
+            phases.a0[index],
+            phases.jerk[index],
+            phases.along[index],
+        )
+        s = phases.s0[index] + along * (dt * (v0 + dt * (a0 / 2 + dt * jerk / 6)))
+        v = along * (v0 + dt * (a0 + dt * jerk / 2))
+        a = along * (a0 + dt * jerk)
         yaw, grade, cant = self.line.yaw_shape(s), self.line.grade.shape(s), self.line.cant.shape(s)
-        # Reversed, left and right and front and rear change places: grade and cant change sign.
+        # With x against the line left and right, front and rear change places: so do the signs of
+        # grade and cant. Which way the vehicle goes is in the sign of v alone.
         sign = self.direction
         return Motion(
             arc_length_m=s,
@@ -116,6 +131,19 @@ class Ride:
             pitch_acceleration_radps2=-sign * (grade.slope_per_m * a + grade.bend_per_m2 * v**2),
             roll_acceleration_radps2=sign * (cant.slope_per_m * a + cant.bend_per_m2 * v**2),
         )
+
+    def _located(self, time_s: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        """Phase of each instant, and the time into it."""
+        time = np.maximum(np.asarray(time_s, dtype=float), 0.0)
+        index = np.searchsorted(self.phases.t0, time, side="right") - 1
+        return index, time - self.phases.t0[index]
+
+    def gone_m(self, time_s: ArrayLike) -> Array:
+        """Way gone at each instant, which never decreases: the arc length until a first turn."""
+        index, _ = self._located(time_s)
+        phases = self.phases
+        gone: Array = phases.fold_m[index] + phases.along[index] * self.motion(time_s).arc_length_m
+        return gone
 
     def position_l(self, time_s: ArrayLike) -> Array:
         """Position of the vehicle's origin in `l`, m; shape (n, 3) for n instants."""
@@ -154,7 +182,8 @@ class Ride:
     def time_at_s(self, arc_length_m: float) -> float:
         """Give the first instant at which the ride has come so far; the end if it never does."""
         phases = self.phases
-        index = max(int(np.searchsorted(phases.s0, arc_length_m, side="left")) - 1, 0)
+        farthest = np.maximum.accumulate(phases.s0)
+        index = max(int(np.searchsorted(farthest, arc_length_m, side="left")) - 1, 0)
         low = float(phases.t0[index])
         high = float(phases.t0[index + 1]) if index + 1 < len(phases.t0) else low
         for _ in range(60):

@@ -133,19 +133,20 @@ class Shaking:
         joint = np.array([*roughness.joint_mps2, *roughness.joint_radps])
         places = np.concatenate([jolts_m, joints_m])
         sizes = np.concatenate([jolts, np.tile(joint, (len(joints_m), 1))])
-        time_s = np.arange(0.0, ride.duration_s, 1.0 / NODES_HZ)
-        motion = ride.motion(time_s)
-        # the first pivot passes at its own place, those behind it one after another
-        passed = [places + abs(x) for x in pivots_m]
-        if ride.direction < 0:  # the last pivot leads
-            passed = [places - abs(x) for x in pivots_m]
-        at_m = np.concatenate(passed)
+        # the first pivot passes at its own place, those behind it, as x points, one after another
+        at_m = np.concatenate([places - ride.direction * x for x in pivots_m])
         sizes = np.tile(sizes, (len(pivots_m), 1))
-        inside = (at_m > first) & (at_m < last)
-        at_m, sizes = at_m[inside], sizes[inside]
-        order = np.argsort(at_m)
-        self._knocks_s = np.interp(at_m[order], motion.arc_length_m, time_s)
-        speed = np.interp(self._knocks_s, time_s, np.abs(motion.speed_mps))
+        passed_m, knocks = [], []
+        for leg in ride.legs:
+            gone_m = leg.fold_m + leg.along * at_m
+            inside = (gone_m > leg.ends_m[0]) & (gone_m < leg.ends_m[1])
+            passed_m.append(gone_m[inside])
+            knocks.append(sizes[inside])
+        gone_m, sizes = np.concatenate(passed_m), np.concatenate(knocks)
+        order = np.argsort(gone_m)
+        time_s = np.arange(0.0, ride.duration_s, 1.0 / NODES_HZ)
+        self._knocks_s = np.interp(gone_m[order], ride.gone_m(time_s), time_s)
+        speed = np.interp(self._knocks_s, time_s, np.abs(ride.motion(time_s).speed_mps))
         self._knocks = sizes[order] * (speed / REFERENCE_MPS)[:, None]
 
     def felt(self, motion: Motion, time_s: Array) -> tuple[Array, Array]:

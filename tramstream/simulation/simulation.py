@@ -260,7 +260,7 @@ class Simulation:
         sequence = 0
         for time_s in self._blocks(section.rate_hz, max(round(BLOCK_S * section.rate_hz), 1)):
             motion = self.ride.motion(time_s)
-            slipped = self.happenings.slipped_m(time_s, motion.arc_length_m)
+            slipped = self.happenings.slipped_m(time_s)
             pulses = total + np.cumsum(encoders.measure(motion, slipped), axis=0)
             total = pulses[-1]
             counted = pulses.tolist()

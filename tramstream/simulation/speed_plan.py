@@ -8,26 +8,40 @@ speed and acceleration are polynomials of time: exact at every instant, forwards
 
 Track that was drawn by hand or mapped has curvature that changes everywhere. A driver does not
 follow that: where a higher speed is permitted for less than `WORTH_M`, he keeps the lower one.
+
+A ride is one leg from the first stop to the last, or several where the driver turns back: he
+changes to the other cab, the vehicle stays as it stands, and the next leg goes over the same track
+in the other direction.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from tramstream.config import NotNegative, Positive, Struct
+from tramstream.errors import ConfigError
 from tramstream.lines.line import Line
 
 Array = NDArray[np.float64]
 
 WORTH_M = 25.0
 """No driver changes speed for less."""
+
+
+class Break(Struct, frozen=True, kw_only=True):
+    """A halt that lasts longer."""
+
+    halt: Annotated[int, Meta(ge=1)]
+    """In the order in which the vehicle halts; 1 is the start, as `stop` of an event."""
+    duration_s: Positive
 
 
 class Limits(Struct, frozen=True, kw_only=True):
@@ -42,6 +56,13 @@ class Limits(Struct, frozen=True, kw_only=True):
     """At each stop the dwell is drawn evenly between `dwell_s` and this; None: all are alike."""
     first_dwell_s: NotNegative = 2.0
     """Short, so that a demo sees a departure at once."""
+    turns_back: tuple[Annotated[int, Meta(ge=1)], ...] = ()
+    """Stops, by their number on the line, where the driver changes to the other cab and goes back
+    over the same track: forwards to the first of these, backwards to the second, and so on; after
+    the last one to the end of the line that lies ahead."""
+    turn_s: NotNegative = 120.0
+    """Dwell where he does so."""
+    breaks: tuple[Break, ...] = ()
 
     def __post_init__(self) -> None:
         if self.dwell_max_s is not None and self.dwell_max_s < self.dwell_s:
@@ -49,22 +70,92 @@ class Limits(Struct, frozen=True, kw_only=True):
 
 
 class Phases(NamedTuple):
-    """Constant jerk from `t0` on, until the next phase; the state at `t0`."""
+    """Constant jerk from `t0` on, until the next phase; the state at `t0`.
+
+    Speed, acceleration and jerk are in the direction of travel.
+    """
 
     t0: Array
     s0: Array
     v0: Array
     a0: Array
     jerk: Array
+    along: Array
+    """1 where arc length grows, −1 on legs that go back."""
+    fold_m: Array
+    """The way gone, as arc length of a line without turns, is fold + along·s."""
 
 
 class Region(NamedTuple):
-    """Track of one permitted speed between two cuts; `stop` if the vehicle halts at its end."""
+    """Track of one permitted speed between two cuts; `stop` if the vehicle halts at its end.
+
+    On a leg that goes back it ends where arc length is less.
+    """
 
     start_m: float
     end_m: float
     limit_mps: float
     stop: bool
+
+    @property
+    def length_m(self) -> float:
+        return abs(self.end_m - self.start_m)
+
+
+class Leg(NamedTuple):
+    """A part of a ride in one direction along the line."""
+
+    along: float
+    """1 or −1."""
+    fold_m: float
+    """See `Phases`."""
+    parts: list[Region]
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """Ways gone at its begin and its end."""
+        start, end = self.parts[0].start_m, self.parts[-1].end_m
+        return self.fold_m + self.along * start, self.fold_m + self.along * end
+
+
+def legs(line: Line, limits: Limits) -> list[Leg]:
+    """Cut a ride where the driver turns back.
+
+    Raises
+    ------
+    ConfigError
+        For a stop that the line does not have, or that does not lie ahead.
+    """
+    hops: list[list[Region]] = [[]]
+    for region in regions(line, limits):
+        hops[-1].append(region)
+        if region.stop:
+            hops.append([])
+    hops.pop()
+    found: list[Leg] = []
+    at, along, fold_m = 0, 1.0, 0.0
+    for number, turn in enumerate([*limits.turns_back, None]):
+        to = turn - 1 if turn is not None else (len(hops) if along > 0 else 0)
+        if not (at < to <= len(hops) if along > 0 else 0 <= to < at):
+            raise ConfigError(
+                f"$.driver.turns_back[{number}]: no stop {to + 1} lies ahead of stop {at + 1}, "
+                f"going {'on' if along > 0 else 'back'}; the line has {len(hops) + 1}"
+            )
+        found.append(Leg(along, fold_m, _gone(hops, at, to)))
+        fold_m += 2 * along * found[-1].parts[-1].end_m
+        at, along = to, -along
+    return found
+
+
+def _gone(hops: list[list[Region]], first: int, last: int) -> list[Region]:
+    """Regions from one stop to another, in the order in which they are gone."""
+    if first < last:
+        return [region for hop in hops[first:last] for region in hop]
+    back: list[Region] = []
+    for hop in reversed(hops[last:first]):
+        turned = [Region(each.end_m, each.start_m, each.limit_mps, False) for each in hop[::-1]]
+        back += [*turned[:-1], turned[-1]._replace(stop=True)]
+    return back
 
 
 def regions(line: Line, limits: Limits) -> list[Region]:
@@ -125,28 +216,41 @@ def _slower(leg: list[Region], index: int) -> list[float]:
     return [region.limit_mps for region in beside if region.limit_mps < leg[index].limit_mps]
 
 
-def plan(line: Line, limits: Limits, rng: Generator | None = None) -> Phases:
-    """Plan a ride from the first stop to the last as phases of constant jerk.
+def plan(gone: Sequence[Leg], limits: Limits, rng: Generator | None = None) -> Phases:
+    """Plan a ride over its legs as phases of constant jerk.
 
     `rng` draws the dwells, where they differ; without it each is the shortest.
+
+    Raises
+    ------
+    ConfigError
+        For a break at a halt that the ride does not have.
     """
-    parts = regions(line, limits)
-    speeds = _cut_speeds(parts, limits)
-    rows: list[tuple[float, float, float, float, float]] = []
-    first_m = parts[0].start_m
-    rows.append((0.0, first_m, 0.0, 0.0, 0.0))
-    time = limits.first_dwell_s
-    for part, v0, v1 in zip(parts, speeds[:-1], speeds[1:], strict=True):
-        s, v, a = part.start_m, v0, 0.0
-        for duration, jerk in _region_phases(part.end_m - part.start_m, v0, v1, part, limits):
-            rows.append((time, s, v, a, jerk))
-            s += duration * (v + duration * (a / 2 + duration * jerk / 6))
-            v += duration * (a + duration * jerk / 2)
-            a += duration * jerk
-            time += duration
-        if part.stop:
-            rows.append((time, part.end_m, 0.0, 0.0, 0.0))
-            time += _dwell_s(limits, rng)
+    rows: list[tuple[float, ...]] = []
+    breaks = {each.halt: each.duration_s for each in limits.breaks}
+    first = gone[0]
+    rows.append((0.0, first.parts[0].start_m, 0.0, 0.0, 0.0, first.along, first.fold_m))
+    time, halt = breaks.get(1, limits.first_dwell_s), 1
+    for leg in gone:
+        speeds = _cut_speeds(leg.parts, limits)
+        way = (leg.along, leg.fold_m)
+        for part, v0, v1 in zip(leg.parts, speeds[:-1], speeds[1:], strict=True):
+            s, v, a = part.start_m, v0, 0.0
+            for duration, jerk in _region_phases(part.length_m, v0, v1, part, limits):
+                rows.append((time, s, v, a, jerk, *way))
+                s += leg.along * (duration * (v + duration * (a / 2 + duration * jerk / 6)))
+                v += duration * (a + duration * jerk / 2)
+                a += duration * jerk
+                time += duration
+            if part.stop:
+                rows.append((time, part.end_m, 0.0, 0.0, 0.0, *way))
+                halt += 1
+                usual_s = _dwell_s(limits, rng)
+                if part is leg.parts[-1]:
+                    usual_s = max(usual_s, limits.turn_s)
+                time += breaks.get(halt, usual_s)
+    if max(breaks, default=0) > halt:
+        raise ConfigError(f"$.driver.breaks: the ride has {halt} halts, none {max(breaks)}")
     return Phases(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -169,9 +273,8 @@ def _cut_speeds(parts: list[Region], limits: Limits) -> list[float]:
 
 def _reach(speed_mps: float, part: Region, limits: Limits) -> float:
     """Highest speed within the region's limit that its length allows to go to from `speed_mps`."""
-    length = part.end_m - part.start_m
     return _highest(
-        speed_mps, part.limit_mps, lambda top: _change_m(speed_mps, top, limits) <= length
+        speed_mps, part.limit_mps, lambda top: _change_m(speed_mps, top, limits) <= part.length_m
     )
 
 

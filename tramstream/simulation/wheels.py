@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from tramstream.simulation.imu import STANDARD_GRAVITY_MPS2
 from tramstream.simulation.ride import Motion
 
 Array = NDArray[np.float64]
+
+STILL_MPS = 1e-6
+"""Rounding at the end of a braking is no turn."""
 
 
 class Axle(Struct, frozen=True, kw_only=True):
@@ -28,7 +32,7 @@ class Axle(Struct, frozen=True, kw_only=True):
     """Left and right: how much larger the wheel really is. The reference has 0.012 and 0.016."""
     track_m: Positive = 1.435
     signed: bool = True
-    """Whether pulses count down when the vehicle runs backwards."""
+    """Whether pulses count down when the vehicle runs against x."""
 
     @property
     def m_per_pulse(self) -> float:
@@ -48,6 +52,9 @@ class Wheels:
         self._attitude = np.zeros((1, 3))  # roll, pitch, yaw of the last instant
         self._turned_rad = 0.0  # about the vehicle's own z, until then
         self._counted = np.zeros((1, 2), dtype=np.int64)
+        self._travel = 1.0  # last direction of travel, against that of growing arc length
+        self._slipped = np.zeros(2)  # in all, at the last instant
+        self._before = np.zeros((2, 2))  # at the last turn: slipped along the line, and in all
 
     def measure(self, motion: Motion, slipped_m: Array | None = None) -> NDArray[np.int64]:
         """Pulses since the instant before, left and right, for each instant; shape (n, 2).
@@ -69,13 +76,41 @@ class Wheels:
         way = motion.arc_length_m - self._start_m
         lever = self._turn(motion) * (self._direction * self.axle.track_m / 2)
         ways = np.stack([way - lever, way + lever], axis=1)
-        if slipped_m is not None:
-            ways += slipped_m
-        turned = np.floor(ways * self._pulses_per_m).astype(np.int64)
-        counted = np.concatenate([self._counted, turned])
-        counted = np.maximum.accumulate(counted)  # rounding at standstill is no pulse backwards
-        self._counted = counted[-1:]
-        return np.diff(counted, axis=0) * (self._direction if self.axle.signed else 1)
+        if slipped_m is None:
+            slipped_m = np.zeros_like(ways)
+        counted = [self._counted]
+        for travel, rows in self._legs(motion):
+            if travel != self._travel:
+                self._before = self._slips(self._slipped)
+                self._travel = travel
+            along = ways[rows] + self._slips(slipped_m[rows])[0]
+            counted.append(self._whole(along * self._pulses_per_m))
+            self._slipped = slipped_m[rows][-1]
+        pulses = np.diff(np.concatenate(counted), axis=0)
+        return self._direction * pulses if self.axle.signed else np.abs(pulses)
+
+    def _legs(self, motion: Motion) -> list[tuple[float, slice]]:
+        """Directions of travel along the line and their instants; standing keeps the last."""
+        speed = self._direction * motion.speed_mps
+        moving = np.where(np.abs(speed) > STILL_MPS, np.arange(len(speed)), -1)
+        last = np.maximum.accumulate(moving)
+        travel = np.where(last >= 0, np.sign(speed[last]), self._travel)
+        turns = np.flatnonzero(np.diff(travel)) + 1
+        edges = [0, *turns.tolist(), len(travel)]
+        return [(float(travel[first]), slice(first, end)) for first, end in pairwise(edges)]
+
+    def _slips(self, slipped_m: Array) -> Array:
+        """Slip along the line, and in all, where it is in the direction of travel."""
+        along, at_turn = self._before
+        return np.stack([along + self._travel * (slipped_m - at_turn), slipped_m])
+
+    def _whole(self, pulses: Array) -> NDArray[np.int64]:
+        """Whole pulses; rounding at standstill is no pulse against the direction of travel."""
+        whole = np.concatenate([self._counted, np.floor(pulses).astype(np.int64)])
+        towards = np.maximum if self._travel > 0 else np.minimum
+        whole = towards.accumulate(whole)[1:]
+        self._counted = whole[-1:]
+        return whole
 
     def _turn(self, motion: Motion) -> Array:
         """Angle about z since the first instant: trapezoids of ω_z dt = cφ cθ dψ − sφ dθ."""
