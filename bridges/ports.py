@@ -7,9 +7,7 @@ loop (`tramstream.live.ports.PortReader`) then opens it again.
 
 from __future__ import annotations
 
-import errno
 import os
-import select
 import socket
 import termios
 import time
@@ -21,6 +19,7 @@ from typing import Any
 import serial
 
 from tramstream import keys
+from tramstream.bridges import serial_lines
 from tramstream.bridges.imu.folding import fold
 from tramstream.bridges.odometer import socketcan
 from tramstream.bridges.odometer.frames import (
@@ -33,6 +32,7 @@ from tramstream.bridges.odometer.frames import (
     host_overflow,
     pack,
 )
+from tramstream.bridges.serial_lines import SerialName
 from tramstream.clock import S, VehicleClock
 from tramstream.config import Odometer, Vehicle
 from tramstream.errors import ConfigError, DeviceError
@@ -42,7 +42,6 @@ from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
 WAIT_S = 0.2
 """A read blocks no longer than this, so that the loop notices when it shall stop."""
-READ_LIMIT = 65536
 IMU_GATHER_S = 0.005
 GNSS_GATHER_S = 0.002
 """Short: what the fastest read waits goes straight into the stamps of all fixes."""
@@ -52,15 +51,6 @@ PTY_FOLDER = "/dev/pts/"
 
 _GONE = (OSError, termios.error)
 """What the kernel says about a device that is no longer there; closing one says it again."""
-_AWAY = ("there is no device behind this name", "plug it in or correct {field}")
-_FORBIDDEN = ("no permission", "add this user to the group dialout (usermod -aG dialout)")
-_BUSY = ("another program uses it", "stop that one (fuser shows which)")
-_CURES = {
-    errno.ENOENT: ("there is no such device", "plug it in or correct {field}"),
-    **dict.fromkeys((errno.ENXIO, errno.ENODEV), _AWAY),
-    **dict.fromkeys((errno.EACCES, errno.EPERM), _FORBIDDEN),
-    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), _BUSY),
-}
 
 
 class SerialPort(Port):
@@ -85,7 +75,12 @@ class SerialPort(Port):
         self.gather_s = gather_s
         self._clock = clock
         self._fold = fold
+        self._name = SerialName(path)
         self._line: Any = None
+
+    @property
+    def place(self) -> str:
+        return self._name.place
 
     def open(self) -> None:
         """Open the line; what the kernel kept from before is thrown away, it has no arrival.
@@ -96,7 +91,9 @@ class SerialPort(Port):
             One sentence with path and cure.
         """
         self.close()
-        self._line = _open_line(self.device, self.baud_rate, f"$.{self.key.source}.device")
+        field = f"$.{self.key.source}.device"
+        self._line = _open_line(self._name.find(), self.baud_rate, field)
+        self._name.opened()
 
     def read(self) -> RawBytes | None:
         """Bytes that came, stamped when they were read; None after `WAIT_S` without one.
@@ -109,10 +106,10 @@ class SerialPort(Port):
         if self._line is None:
             raise DeviceError(f"{self.device}: read before it was opened")
         descriptor = self._line.fileno()
-        if not _wait(descriptor, WAIT_S):
+        if not serial_lines.wait(descriptor, WAIT_S):
             return None
         time.sleep(self.gather_s)
-        data = _drain(descriptor, self.device)
+        data = serial_lines.drain(descriptor, self.device)
         return RawBytes(stamp_ns=self._clock.now_ns(), device=self.device, data=data)
 
     def join(self, reads: Sequence[RawBytes]) -> RawBytes:
@@ -139,6 +136,7 @@ class CanPort(Port):
         self._config = config
         self._clock = clock
         self._bus: Any = None
+        self._name = SerialName(config.channel)  # with slcan
         self._index = 0  # of the network interface when it was opened
         self._dropped = 0  # the socket's own count
         self._count_drops = partial(int, 0)
@@ -147,6 +145,10 @@ class CanPort(Port):
         self._lines = SlcanLines()
         self._heard_s = 0.0
         self._failures: tuple[type[Exception], ...] = _GONE
+
+    @property
+    def place(self) -> str:
+        return self._name.place
 
     def open(self) -> None:
         """Open the bus.
@@ -164,7 +166,7 @@ class CanPort(Port):
             self._index = _interface_index(self._config)
         elif self._config.interface == "slcan":
             # Opened twice: only this way a missing or busy line gets its own sentence.
-            _open_line(self.device, 115200, "$.odometer.channel").close()
+            _open_line(self._name.find(), 115200, "$.odometer.channel").close()
         try:
             self._bus = can.Bus(**self._options())
             if self._config.interface == "socketcan":
@@ -173,6 +175,7 @@ class CanPort(Port):
                 self._arrivals = socketcan.Arrivals()
             elif self._config.interface == "slcan":
                 self._bus.serialPortOrig.exclusive = True
+                self._name.opened()
         except (*self._failures, ValueError, NotImplementedError, ImportError) as error:
             self.close()
             raise DeviceError(
@@ -189,8 +192,10 @@ class CanPort(Port):
             return options | {"fd": True}  # bit rate: `ip link`, not ours to set
         if config.interface in ("virtual", "udp_multicast"):
             return options
-        if config.interface == "slcan" and os.path.realpath(config.channel).startswith(PTY_FOLDER):
-            options["sleep_after_open"] = 0.0  # python-can waits 2 s for boot loaders otherwise
+        if config.interface == "slcan":
+            options["channel"] = self.place
+            if os.path.realpath(self.place).startswith(PTY_FOLDER):
+                options["sleep_after_open"] = 0.0  # python-can waits 2 s for boot loaders otherwise
         return options | {"bitrate": config.bitrate}
 
     def read(self) -> CanFrames | None:
@@ -219,7 +224,8 @@ class CanPort(Port):
             self._check_silence()
             return None
         self._heard_s = time.monotonic()
-        message: CanFrames = pack(frames, self.device)
+        by_reader = self._config.interface == "slcan"
+        message: CanFrames = pack(frames, self.device, read_stamps=by_reader)
         return message
 
     def _read_socket(self) -> list[CanFrame]:
@@ -231,7 +237,7 @@ class CanPort(Port):
         frames: list[CanFrame] = []
         bus_socket: socket.socket = self._bus.socket
         began_s = time.monotonic()
-        if self._failure is None and _wait(bus_socket.fileno(), WAIT_S):
+        if self._failure is None and serial_lines.wait(bus_socket.fileno(), WAIT_S):
             time.sleep(CAN_GATHER_S)
         self._arrivals.look()
         for _ in range(FRAME_LIMIT):
@@ -260,7 +266,7 @@ class CanPort(Port):
     def _losses_at_the_end(self) -> list[CanFrame]:
         """What was lost after the last frame: else only a next one tells, which may never come."""
         lost = (self._count_drops() - self._dropped) & 0xFFFFFFFF
-        if not 0 < lost < 1 << 31 or _wait(self._bus.socket.fileno(), 0.0):
+        if not 0 < lost < 1 << 31 or serial_lines.wait(self._bus.socket.fileno(), 0.0):
             return []  # none, or no end yet
         self._dropped = (self._dropped + lost) & 0xFFFFFFFF
         return [host_overflow(self._clock.now_ns(), self.device, lost)]
@@ -270,8 +276,8 @@ class CanPort(Port):
         frames: list[CanFrame] = []
         descriptor = self._bus.fileno()
         timeout_s, end_s = WAIT_S, time.monotonic() + WAIT_S
-        while timeout_s > 0 and _wait(descriptor, timeout_s):
-            data = _drain(descriptor, self.device)
+        while timeout_s > 0 and serial_lines.wait(descriptor, timeout_s):
+            data = serial_lines.drain(descriptor, self.device)
             stamp_ns = self._clock.now_ns()
             contents = self._lines.feed(data)
             if contents and not frames:
@@ -316,6 +322,8 @@ class CanPort(Port):
         """After long silence, look whether the interface is still the one that was opened.
 
         One that was removed and made anew keeps its name, but the old socket stays silent for ever.
+        An adapter on a serial line may have started after its port was opened, and not have heard
+        that it shall open its channel: it is told again.
         """
         now_s = time.monotonic()
         if now_s - self._heard_s < self._config.silence_s:
@@ -323,6 +331,14 @@ class CanPort(Port):
         self._heard_s = now_s
         if self._config.interface == "socketcan" and _interface_index(self._config) != self._index:
             raise DeviceError(f"{self.device}: the interface was made anew, and is opened again")
+        if self._config.interface == "slcan":
+            try:
+                self._bus.set_bitrate(self._config.bitrate)
+            except self._failures as error:
+                raise DeviceError(
+                    f"{self.device}: the adapter takes no commands ({error})",
+                    cure="check its cable and power",
+                ) from error
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
@@ -357,42 +373,8 @@ def odometer_port(vehicle: Vehicle, clock: VehicleClock) -> CanPort:
 def _open_line(path: str, baud_rate: int, field: str) -> Any:
     try:
         return serial.Serial(path, baud_rate, timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:  # SerialException is an OSError
-        number = error.errno if isinstance(error, OSError) else None
-        unknown = (f"it cannot be set up as a serial line ({error})", "")
-        reason, cure = _CURES.get(number or 0, unknown)
-        raise DeviceError(f"{path}: {reason}", cure=cure.format(field=field)) from error
-
-
-def _wait(descriptor: int, timeout_s: float) -> bool:
-    """Whether something happens within the time: bytes, or the end."""
-    poll = select.poll()
-    poll.register(descriptor, select.POLLIN)
-    return bool(poll.poll(max(1, int(timeout_s * 1000))))
-
-
-def _drain(descriptor: int, device: str) -> bytes:
-    """Everything that waits, at most `READ_LIMIT`, after `_wait` said that there is something."""
-    parts: list[bytes] = []
-    size = 0
-    failure: OSError | None = None
-    while size < READ_LIMIT:
-        try:
-            part = os.read(descriptor, READ_LIMIT - size)
-        except BlockingIOError:
-            break
-        except OSError as error:
-            failure = error
-            break
-        if not part:
-            break
-        parts.append(part)
-        size += len(part)
-    if not parts:  # ready, and yet nothing to read: the other end is gone
-        raise DeviceError(
-            f"{device}: the device was unplugged or hung up", cure="check its cable and power"
-        ) from failure
-    return b"".join(parts)
+    except (*_GONE, ValueError) as error:  # SerialException is an OSError
+        raise serial_lines.refusal(path, field, error) from error
 
 
 def _interface_index(config: Odometer) -> int:

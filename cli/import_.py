@@ -17,14 +17,21 @@ def import_(
     adis: Annotated[
         Path | None, typer.Option(help="IMU capture in the framing of docs/imu-framing.md.")
     ] = None,
-    can: Annotated[Path | None, typer.Option(help="CAN log as `candump -L` writes it.")] = None,
+    can: Annotated[
+        Path | None, typer.Option(help="CAN log as `candump -L` writes it, or `candump -t a`.")
+    ] = None,
     dbc: Annotated[Path | None, typer.Option(help="DBC that names the CAN log's signals.")] = None,
     wheel: Annotated[
         list[str] | None,
         typer.Option(
-            help="NAME=MESSAGE.SIGNAL of a wheel, repeated; default: all wheel speeds of the DBC."
+            metavar="NAME=MESSAGE.SIGNAL[:UNIT]",
+            help="A wheel, repeated; default: all wheel speeds of the DBC. UNIT (km/h, m/s, "
+            "pulses …) where the DBC has none.",
         ),
     ] = None,
+    bus: Annotated[
+        str, typer.Option(help="Interface of the CAN log to decode, e.g. can0, if several.")
+    ] = "",
     csv: Annotated[
         list[str] | None,
         typer.Option(
@@ -63,7 +70,8 @@ def import_(
     """Import captures and tables; several sources of one ride go into one record.
 
     Captures of receivers and IMUs hold no arrival times: each read is given the time that its
-    frames tell. A receiver's is GPS time as Unix time, not corrected for leap seconds.
+    frames tell. The record's clock is GPS time as Unix time, as a receiver's; the UTC of a CAN log
+    is put onto it. An IMU counts from when it was switched on: --offset-s says when that was.
 
     Tables are put on the same clock. How to write a --mapping: docs/import-tables.md, mappings/.
     """
@@ -105,7 +113,7 @@ def import_(
     if adis is not None:
         imports.imu(adis)
     if can is not None:
-        chosen = imports.can(can, dbc, wheel or [])
+        chosen = imports.can(can, dbc, wheel or [], bus)
         say(f"{can}: wheels {chosen}")
     result: dict[str, Any] = imports.write(out)
     if nothing := _nothing_in(result, {"gnss": receiver, "imu": adis, "odometer": can}):
@@ -128,7 +136,10 @@ def import_(
         of_tables += table["malformed_lines"]
     if result["malformed_lines"] > of_tables:
         lines = result["malformed_lines"] - of_tables
-        say(f"{can}: {lines} lines are no CAN frames and were left out")
+        first = result["can"]["first_malformed"]
+        say(f"{can}: {lines} lines are no CAN frames and were left out; {first}")
+    for text in _told_of_log(result["can"]):
+        say(f"{can}: {text}")
     print(f"{out}: {sum(result['messages'].values())} messages")
 
 
@@ -168,3 +179,18 @@ def _told(table: dict[str, Any]) -> str:
     if table["malformed_lines"]:
         text += f"; {table['malformed_lines']} left out: {table['first_malformed']}"
     return text
+
+
+def _told_of_log(log: dict[str, Any]) -> list[str]:
+    """What was odd about a CAN log, for people."""
+    told = []
+    if log.get("odd"):
+        told.append(f"{log['odd']} frames have stamps that do not fit, and were left out")
+    if log.get("unheard"):
+        told.append(f"no frame of {', '.join(log['unheard'])}")
+    if log.get("set_back"):
+        told.append(
+            f"its clock was set back {log['set_back']} times, by {log['set_back_s']:.3f} s in all; "
+            "later frames were moved on"
+        )
+    return told

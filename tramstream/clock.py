@@ -300,7 +300,7 @@ class ClockFit:
     def _refit(self) -> None:
         """Bend the curve, from the newest arrival on, towards the window's supporting line."""
         memory = self.memory
-        memory.skew, intercept_ns = _supporting_line(memory.minima, self.max_skew)
+        memory.skew, intercept_ns = supporting_line(memory.minima, self.max_skew)
         now_ns = memory.newest_ns
         current_ns = self._chain(now_ns)
         target_ns = intercept_ns + memory.skew * now_ns
@@ -319,7 +319,7 @@ MIN_POINTS = 8
 """Fewer buckets are too short to tell skew from jitter."""
 
 
-def _supporting_line(points: list[tuple[int, int]], max_skew: float) -> tuple[float, float]:
+def supporting_line(points: list[tuple[int, int]], max_skew: float) -> tuple[float, float]:
     """Slope and intercept of the line below all points with the least total distance to them.
 
     Of all lines below, that is the lower hull's edge over the mean abscissa.

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from tramstream.bridges.gnss import events as receiver
+from tramstream.bridges.odometer import events as odometer
 from tramstream.bridges.simulators import events as simulators
 from tramstream.estimation import events as fixes
 from tramstream.events import Kind
@@ -29,6 +30,7 @@ from tramstream.supervision import events as supervision
 TABLES: dict[ModuleType, str] = {
     live: "Nodes, their inputs and devices",
     receiver: "Receivers and their lines",
+    odometer: "Frames of the vehicle bus",
     ekf: "Localisation",
     fixes: "Fixes that no localiser uses",
     tram: "The filter `tram`",

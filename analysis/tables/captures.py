@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from tramstream import config_file, keys
-from tramstream.analysis.tables import clocks
+from tramstream.analysis.tables import can_log, clocks, wheel_units
+from tramstream.analysis.tables.can_log import CanLog
 from tramstream.analysis.tables.mapping import GnssTable
 from tramstream.analysis.tables.tables import Tables
 from tramstream.bridges.gnss.bridge import GnssBridge
 from tramstream.bridges.gnss.capture import read_times
 from tramstream.bridges.imu import framer as adis
-from tramstream.bridges.imu.bridge import ImuBridge
-from tramstream.bridges.odometer import candump
+from tramstream.bridges.imu.bridge import HOLD_NS, U32, ImuBridge, interval_between
 from tramstream.bridges.odometer import frames as canframe
 from tramstream.bridges.odometer.bridge import OdometerBridge
 from tramstream.bridges.odometer.dbc import Database
@@ -37,7 +37,6 @@ CAN_GROUP_NS = S // 50
 """Frames of so long go into one message, as the live port gathers them."""
 ADIS_READ = 10 * adis.FRAME_LENGTH
 """Ten samples a read: 5 ms at 2 kHz."""
-SPEED_UNITS = {"km/h": 1.0 / 3.6, "kph": 1.0 / 3.6, "kmph": 1.0 / 3.6, "m/s": 1.0, "mph": 0.44704}
 
 
 @dataclass(frozen=True)
@@ -72,6 +71,8 @@ class Imports:
         self._model = model
         self._items: list[Item] = []
         self._bridges: dict[str, Processor] = {}
+        self.can_log: CanLog | None = None
+        """What was read of the CAN log."""
 
     def _use(self, vehicle: Vehicle) -> None:
         name = self._vehicle_id or vehicle.vehicle
@@ -112,22 +113,21 @@ class Imports:
         section = msgspec.structs.replace(section, baud_rate=NO_LINE_BAUD)
         self.vehicle = msgspec.structs.replace(self.vehicle, imu=section)
         bridge = ImuBridge(self.vehicle)
-        framer = adis.AdisFramer()
-        arrival_ns, last_us = S, None
-        for begin in range(0, len(data), ADIS_READ):
-            piece = data[begin : begin + ADIS_READ]
-            frames = framer.feed(piece).frames
-            if len(frames):
-                newest_us = int(frames["stamp_us"][-1])
-                if last_us is not None:
-                    arrival_ns += (newest_us - last_us) % 2**32 * 1000
-                last_us = newest_us
+        items = []
+        for piece, arrival_ns in _adis_reads(data, section.rate_hz):
             message = RawBytes(stamp_ns=arrival_ns, device=path.name, data=piece)
-            self._items.append(Item(keys.IMU_BYTES, message, arrival_ns, arrival_ns, bridge))
+            items.append(Item(keys.IMU_BYTES, message, arrival_ns, arrival_ns, bridge))
+        last = items[-1].message  # nothing came for a while after it: the batch is whole
+        last.read_length.extend((len(last.data), 0))
+        last.read_offset_ns.extend((0, HOLD_NS + 1))
+        self._items += items
         self._bridges[bridge.name] = bridge
 
-    def can(self, path: Path, dbc: Path | None, wheels: list[str]) -> str:
-        """A CAN log on its own clock; returns the wheels it decodes, for people."""
+    def can(self, path: Path, dbc: Path | None, wheels: list[str], bus: str = "") -> str:
+        """A CAN log on its own clock; returns the wheels it decodes, for people.
+
+        `bus` is the interface to decode, where identifiers come on several.
+        """
         section = self.vehicle.odometer
         if dbc is not None:
             chosen = _wheels(dbc, wheels)
@@ -138,26 +138,23 @@ class Imports:
             raise ConfigError("--can: the configuration has no section [odometer]; give --dbc")
         self.vehicle = msgspec.structs.replace(self.vehicle, odometer=section)
         bridge = OdometerBridge(self.vehicle)
-        group: list[canframe.CanFrame] = []
-        for line in _read(path).decode("ascii", "replace").splitlines():
-            frame = candump.parse_line(line)
-            if isinstance(frame, canframe.Rejected):
-                self.malformed_lines += 1
-                continue
-            if group and frame.stamp_ns - group[0].stamp_ns >= CAN_GROUP_NS:
-                self._add_frames(group, path, bridge)
-                group = []
-            group.append(frame)
-        if group:
-            self._add_frames(group, path, bridge)
+        log = self.can_log = can_log.read(path, _read(path).decode("ascii", "replace"))
+        self.malformed_lines += log.malformed
+        decoded, heard = can_log.buses(path, log, bridge.wants, bus)
+        log.unheard = sorted({wheel.message for wheel in section.wheels.values()} - heard)
+        items = []
+        for interface in log.interfaces:
+            frames = [frame for frame in log.frames if frame.interface == interface]
+            of = bridge if interface in decoded else None
+            for group in can_log.gathers(frames, CAN_GROUP_NS):
+                message = canframe.pack(group, interface)
+                stamp_ns = message.stamp_ns
+                items.append(Item(keys.ODO_FRAMES, message, stamp_ns, stamp_ns, of))
+        items.sort(key=lambda item: item.arrival_ns)
+        _check_decodes(path, OdometerBridge(self.vehicle), items)
+        self._items += items
         self._bridges[bridge.name] = bridge
         return ", ".join(f"{n} = {w.message}.{w.signal}" for n, w in section.wheels.items())
-
-    def _add_frames(
-        self, group: list[canframe.CanFrame], path: Path, bridge: OdometerBridge
-    ) -> None:
-        frames = canframe.pack(group, path.name)
-        self._items.append(Item(keys.ODO_FRAMES, frames, frames.stamp_ns, frames.stamp_ns, bridge))
 
     def _shifted(self, item: Item) -> Item:
         """A message on the record's clock; rows of tables are on it."""
@@ -217,6 +214,7 @@ class Imports:
             "devices": devices,
             "malformed_lines": self.malformed_lines,
             "tables": self.tables_read,
+            "can": _told(self.can_log) if self.can_log is not None else {},
         }
 
 
@@ -242,16 +240,72 @@ def _timed_pieces(data: bytes, times: list[tuple[int, int]]) -> Iterable[tuple[i
         yield arrival_ns, data[start : start + READ_BYTES]
 
 
+def _adis_reads(data: bytes, rate_hz: float) -> Iterable[tuple[bytes, int]]:
+    """Reads of a capture, each with the device time of its last frame, from one second on.
+
+    Where the device was started again, nothing tells how long it was off: no longer than a read.
+    """
+    framer = adis.AdisFramer()
+    period_us = 1e6 / rate_hz
+    last: tuple[int, int] | None = None
+    arrival_ns = S
+    for begin in range(0, len(data), ADIS_READ):
+        piece = data[begin : begin + ADIS_READ]
+        frames = framer.feed(piece).frames
+        for sequence, stamp_us in _ends(frames):
+            interval_us: float | None = 0.0
+            if last is not None:
+                steps = (sequence - last[0]) & U32, (stamp_us - last[1]) & U32
+                interval_us = interval_between(*steps, period_us)
+            arrival_ns += round(1000 * (period_us if interval_us is None else interval_us))
+            last = sequence, stamp_us
+        yield piece, arrival_ns
+
+
+def _ends(frames: Any) -> list[tuple[int, int]]:
+    """Sequence and stamp of a read's frames; of those that follow each other the ends do."""
+    numbers: list[int] = frames["sequence"].tolist()
+    stamps: list[int] = frames["stamp_us"].tolist()
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return [(numbers[0], stamps[0]), (numbers[-1], stamps[-1])]
+    return list(zip(numbers, stamps, strict=True))
+
+
+def _check_decodes(path: Path, probe: OdometerBridge, items: list[Item]) -> None:
+    """Refuse a log of which no wanted frame can be used.
+
+    Raises
+    ------
+    ConfigError
+        Says what became of them.
+    """
+    for item in items:
+        if item.bridge is not None:
+            probe.step(Sample(item.key, item.message, item.stamp_ns, 1))
+            if probe.memory.decoded:
+                return
+    reasons = probe.device_counters()["rejected_by_reason"]
+    told = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+    raise ConfigError(
+        f"{path}: none of the frames that the DBC names can be used ({told or 'there is none'})",
+        cure="is it the DBC of this vehicle, and of this bus?",
+    )
+
+
+def _told(log: CanLog) -> dict[str, Any]:
+    """What became of a CAN log."""
+    told = asdict(log)
+    return {**told, "frames": len(log.frames), "interfaces": log.interfaces}
+
+
 def _wheels(dbc: Path, chosen: list[str]) -> dict[str, Wheel]:
-    """Wheels from NAME=MESSAGE.SIGNAL; by default every signal that is a wheel's speed."""
+    """Wheels from NAME=MESSAGE.SIGNAL[:UNIT]; by default every signal that is a wheel's speed."""
     units = Database(str(dbc), "--dbc").units()
     if not chosen:
         found = {
-            signal.lower(): Wheel(
-                message=message, signal=signal, kind="speed", scale=SPEED_UNITS[unit]
-            )
+            signal.lower(): Wheel(message=message, signal=signal, kind="speed", scale=factor)
             for (message, signal), unit in units.items()
-            if "WHEEL" in signal.upper() and unit in SPEED_UNITS
+            if "WHEEL" in signal.upper() and (factor := wheel_units.factor_to_mps(unit)) is not None
         }
         if not found:
             raise ConfigError(
@@ -262,14 +316,17 @@ def _wheels(dbc: Path, chosen: list[str]) -> dict[str, Wheel]:
     wheels = {}
     for text in chosen:
         name, _, place = text.partition("=")
-        message, _, signal = place.partition(".")
+        message, _, rest = place.partition(".")
+        signal, _, stated = rest.partition(":")
         if not (name and message and signal):
-            raise ConfigError(f"--wheel {text}: must read NAME=MESSAGE.SIGNAL")
-        unit = units.get((message, signal), "")
-        wheels[name] = Wheel(
-            message=message,
-            signal=signal,
-            kind="speed" if unit in SPEED_UNITS else "pulses",
-            scale=SPEED_UNITS.get(unit, 1.0),
-        )
+            raise ConfigError(f"--wheel {text}: must read NAME=MESSAGE.SIGNAL or …SIGNAL:UNIT")
+        unit = stated or units.get((message, signal), "")
+        kind = wheel_units.kind_of(unit, "" if stated else signal)
+        if kind is None and ((message, signal) in units or stated):
+            raise ConfigError(
+                f"--wheel {text}: nobody knows what a wheel says in the unit '{unit}'",
+                cure=f"say it: --wheel {name}={message}.{signal}:km/h, or :m/s, or :pulses",
+            )
+        what, scale = kind or (wheel_units.PULSES, 1.0)
+        wheels[name] = Wheel(message=message, signal=signal, kind=what, scale=scale)  # type: ignore[arg-type]
     return wheels

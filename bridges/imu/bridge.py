@@ -12,8 +12,8 @@ Each read is taken on its own, in this order.
    window of the resampler. A break closes a batch early. An open batch waits for its last sample;
    a later read that brings no sample at all closes it once it has waited `HOLD_NS`.
 
-Columns depend on the bytes alone, stamps on the bytes and on when each read arrived; how reads are
-put together into messages makes no difference.
+Columns depend on the bytes alone (but for a silence of more than an hour), stamps on the bytes and
+on when each read arrived; how reads are put together into messages makes no difference.
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ BREAK_PERIODS = 1.5
 STAMP_SLACK_US = 100_000
 RATE_TOLERANCE = 0.1
 """Stamp and sequence of one run agree within slack and tolerance: the sensor keeps its rate to a
-few percent, and the slack lets the microcontroller pause. After some six hours of silence that no
-longer tells the stamp's wraps apart, and the device begins a new run."""
+few percent, and the slack lets the microcontroller pause. How often the stamp has wrapped in a long
+silence is told by the arrivals. After some six hours the rate no longer tells, and the device
+begins a new run."""
 
 NOTE_RESTART = "device restart"
 NOTE_PAUSE = "pause without lost samples"
@@ -129,7 +130,7 @@ class ImuBridge(Processor):
             frames = memory.framer.feed(data).frames
             if len(frames):
                 memory.decoded += len(frames)
-                self._take(self._cut(frames), arrival_ns, out)
+                self._take(self._cut(frames, arrival_ns), arrival_ns, out)
                 memory.last_arrival_ns = arrival_ns
             elif memory.open and arrival_ns - memory.last_arrival_ns > HOLD_NS:
                 self._close(out)
@@ -137,18 +138,20 @@ class ImuBridge(Processor):
 
     # sequence and stamp ---------------------------------------------------------------------------
 
-    def _cut(self, frames: NDArray[np.void]) -> list[_Piece]:
+    def _cut(self, frames: NDArray[np.void], arrival_ns: int) -> list[_Piece]:
         """Unwrap the samples of a read and cut them at breaks."""
         sequence, stamp_us = frames["sequence"], frames["stamp_us"]
         steps, intervals_us = np.diff(sequence), np.diff(stamp_us)  # wrap like the counters
         breaks = np.flatnonzero((steps != 1) | (intervals_us > self._break_us)) + 1
         edges = [0, *breaks.tolist(), len(frames)]
         pieces = []
+        elapsed_us = (arrival_ns - self.memory.last_arrival_ns) / 1000
         for start, end in pairwise(edges):
             part = frames[start:end]
             counter = part["data_cntr"]
             wrapped = _Newest(int(sequence[start]), int(stamp_us[start]), int(counter[0]))
-            first, contiguous, restarted = self._follow(wrapped)
+            first, contiguous, restarted = self._follow(wrapped, elapsed_us)
+            elapsed_us = 0.0  # the others came with it
             span_us = (int(stamp_us[end - 1]) - wrapped.stamp_us) & U32
             last_us = first.stamp_us + span_us
             pieces.append(
@@ -159,19 +162,19 @@ class ImuBridge(Processor):
                 self._note(NOTE_COUNTER, int(np.count_nonzero(np.diff(counter) != 1)))
         return pieces
 
-    def _follow(self, first: _Newest) -> tuple[_Newest, bool, bool]:
-        """Unwrap `first` by the sample before it; whether it is contiguous, and restarted."""
+    def _follow(self, first: _Newest, elapsed_us: float) -> tuple[_Newest, bool, bool]:
+        """Unwrap `first` by the sample before it; whether it is contiguous, and restarted.
+
+        `elapsed_us` lies between the arrivals of the two.
+        """
         memory = self.memory
         last = memory.last
         if last is None:
             return first, False, False
         step = (first.sequence - last.sequence) & U32
-        interval_us = (first.stamp_us - last.stamp_us) & U32
-        expected_us = step * self._period_us
-        interval_us += round((expected_us - interval_us) / 2**32) * 2**32  # a silence of hours
-        allowed_us = STAMP_SLACK_US + RATE_TOLERANCE * expected_us
-        plausible = interval_us > 0 and abs(interval_us - expected_us) < allowed_us < HALF_U32
-        if step == 0 or step >= HALF_U32 or not plausible:
+        stamp_step_us = (first.stamp_us - last.stamp_us) & U32
+        interval_us = interval_between(step, stamp_step_us, self._period_us, elapsed_us)
+        if interval_us is None:
             self._note(NOTE_RESTART, 1)
             return first, False, True
         memory.lost += step - 1
@@ -229,7 +232,8 @@ class ImuBridge(Processor):
             return
         frames = memory.open[0] if len(memory.open) == 1 else join(memory.open)
         memory.open = []
-        stamp_ns = self._fit.host_ns(memory.open_first_us * 1000)
+        # A run that began before it arrived, where time begins: of a capture, never of a vehicle.
+        stamp_ns = max(0, self._fit.host_ns(memory.open_first_us * 1000))
         period_ns = 1000 * self._period_us
         if len(frames) > 1:
             last_ns = self._fit.host_ns(memory.open_last_us * 1000)
@@ -294,6 +298,27 @@ class ImuBridge(Processor):
             counters["clock_skew_ppm"] = self._fit.skew * 1e6
             counters["clock_residual_s"] = self._fit.residual_ns / S
         return counters
+
+
+def interval_between(
+    step: int, stamp_step_us: int, period_us: float, elapsed_us: float = 0.0
+) -> int | None:
+    """Device time between two samples; None if the device has started anew between them.
+
+    Parameters
+    ----------
+    step, stamp_step_us : int
+        What their sequence and their stamp differ by, of 32 bits each.
+    period_us : float
+        Of the sensor.
+    elapsed_us : float
+        Between their arrivals: how often the stamp may have wrapped, once in 72 minutes.
+    """
+    interval_us = stamp_step_us + max(0, round((elapsed_us - stamp_step_us) / 2**32)) * 2**32
+    expected_us = step * period_us
+    allowed_us = STAMP_SLACK_US + RATE_TOLERANCE * expected_us
+    plausible = interval_us > 0 and abs(interval_us - expected_us) < allowed_us < HALF_U32
+    return interval_us if 0 < step < HALF_U32 and plausible else None
 
 
 def _reads(message: RawBytes) -> Iterator[tuple[bytes, int]]:

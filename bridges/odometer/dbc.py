@@ -8,6 +8,7 @@ and cannot use an exception for each short frame. Tests hold the results to cant
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import struct
 from pathlib import Path
@@ -16,30 +17,41 @@ from typing import Any, Literal
 import cantools
 from cantools.database.errors import Error as CantoolsError
 
+from tramstream.bridges.odometer import j1939
+from tramstream.bridges.odometer.dbc_text import check_bounds, mark_extended, paged_signals
 from tramstream.errors import ConfigError
 from tramstream.input_file import read_limited
 
 EXTENDED_ID = 0x80000000
 """Set in a frame key whose identifier has 29 bits, as in a DBC."""
-_MESSAGE_BYTES = 1785
-"""What J1939's transport protocol carries; a frame has 8, of CAN FD 64."""
-_PAGES = 100_000
 _LIMIT_BYTES = 16_000_000
 """All of J1939 is 5 MB."""
-_MESSAGE = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
-_SIGNAL = re.compile(rb"\s*SG_\s+(\w+)\s*\w*\s*:\s*(\d+)\|(\d+)@")
-_RANGE = re.compile(rb"(\d+)\s*-\s*(\d+)")
 FLOATS = {16: ">e", 32: ">f", 64: ">d"}
+"""IEEE 754 has no others; a DBC may claim any."""
+SHORT = "frame too short"
+NO_NUMBER = "not a number"
+NAMED_NONE = "named as no value in the DBC"
+_NONE_NAME = re.compile(
+    r"sna|n\W?/?a|not\W?avail\w*|unavail\w*|invalid\w*|error\w*|undefined|unknown|no\W?signal",
+    re.IGNORECASE,
+)
+"""Names (`VAL_`) of raw values that are none, as the whole name or at its beginning or end."""
 
 
 class Field:
     """Where one signal lies in its frame, and what its bits mean.
 
-    `length` is the signal's in bits, `bytes_needed` what a frame must have for it (and for the
-    multiplexers above it).
+    `length` is the signal's in bits, `bytes_needed` what a frame must have for it. Pages of one
+    multiplexed message may differ in length: that counts where the page is the signal's.
     """
 
-    def __init__(self, signal: Any, selectors: list[tuple[Field, frozenset[int]]]) -> None:
+    def __init__(
+        self,
+        signal: Any,
+        selectors: list[tuple[Field, frozenset[int]]],
+        *,
+        of_j1939: bool = False,
+    ) -> None:
         self.length: int = signal.length
         self.scale: float = signal.scale
         self.offset: float = signal.offset
@@ -55,18 +67,73 @@ class Field:
             self._start = 8 * (self._start // 8) + 7 - self._start % 8
         self._end = self._start + self.length
         self._selectors = selectors
-        self.bytes_needed: int = max(
-            [(self._end + 7) // 8, *(f.bytes_needed for f, _ in selectors)]
+        self._of_j1939 = of_j1939 and not self._sign and not self._float
+        self._none = frozenset(
+            value for value, name in (signal.choices or {}).items() if _names_none(str(name))
         )
+        self.bytes_needed: int = (self._end + 7) // 8
+
+    def on_page(self, data: bytes) -> bool | None:
+        """Whether the multiplexers say that the signal is in the frame; None if it is too short."""
+        for selector, values in self._selectors:
+            there = selector.on_page(data)
+            if not there:
+                return there
+            if len(data) < selector.bytes_needed:
+                return None
+            if selector._number(data) not in values:
+                return False
+        return True
 
     def raw(self, data: bytes) -> float | None:
         """Value before scaling; None where a multiplexer says that the signal is not in the frame.
 
         `data` has `bytes_needed` bytes or more.
         """
-        for selector, values in self._selectors:
-            if selector.raw(data) not in values:
-                return None
+        return self._number(data) if self.on_page(data) else None
+
+    def physical(self, data: bytes) -> float | None:
+        """Value in the DBC's unit; see `raw`."""
+        value = self.raw(data)
+        return None if value is None else self._scaled(value)
+
+    def read(self, data: bytes) -> float | str | None:
+        """Value in the DBC's unit; why there is none, or None where it is on another page."""
+        there = self.on_page(data)
+        if there is False:
+            return None
+        if there is None or len(data) < self.bytes_needed:
+            return SHORT
+        raw = self._number(data)
+        if not math.isfinite(raw):
+            return NO_NUMBER
+        if raw in self._none:
+            return NAMED_NONE
+        reason = j1939.why_no_value(int(raw), self.length) if self._of_j1939 else ""
+        if reason:
+            return reason
+        value = self._scaled(raw)
+        return value if math.isfinite(value) else NO_NUMBER
+
+    def read_counter(self, data: bytes) -> int | str | None:
+        """A free-running counter before scaling; else as `read`.
+
+        It uses all of its values, so that of those that stand for none in J1939 only the last is
+        none: one count in a turn.
+        """
+        there = self.on_page(data)
+        if there is False:
+            return None
+        if there is None or len(data) < self.bytes_needed:
+            return SHORT
+        raw = self._number(data)
+        if not math.isfinite(raw):
+            return NO_NUMBER
+        if raw in self._none or (self._of_j1939 and raw == self._mask):
+            return NAMED_NONE if raw in self._none else j1939.NOT_AVAILABLE
+        return int(raw)
+
+    def _number(self, data: bytes) -> float:
         if self._order == "big":
             bits: int = int.from_bytes(data, "big") >> (8 * len(data) - self._end) & self._mask
         else:
@@ -76,12 +143,14 @@ class Field:
             return value
         return bits - ((bits & self._sign) << 1)
 
-    def physical(self, data: bytes) -> float | None:
-        """Value in the DBC's unit; see `raw`."""
-        value = self.raw(data)
-        if value is None or self._plain:
-            return value
-        return value * self.scale + self.offset
+    def _scaled(self, raw: float) -> float:
+        return raw if self._plain else raw * self.scale + self.offset
+
+
+def _names_none(name: str) -> bool:
+    words = re.split(r"[\s_]+", name.strip())
+    tails = [name.strip(), words[0], words[-1], " ".join(words[-2:]), " ".join(words[:2])]
+    return any(_NONE_NAME.fullmatch(each) for each in tails)
 
 
 class Database:
@@ -97,11 +166,11 @@ class Database:
         """
         self.path = path
         try:
-            _check_bounds(read_limited(Path(path), _LIMIT_BYTES), f"{where}: {path}")
-            # Not strict: real DBCs have signals that overlap or stick out; it is checked per frame.
+            text = read_limited(Path(path), _LIMIT_BYTES)
+            check_bounds(text, f"{where}: {path}")
+            self._paged = paged_signals(text)
             self._messages: dict[str, Any] = {
-                message.name: message
-                for message in cantools.database.load_file(path, strict=False).messages
+                message.name: message for message in _load(path, text).messages
             }
         except OSError as error:
             raise ConfigError(
@@ -141,51 +210,61 @@ class Database:
                 f"{where}.signal: {self.path} has no signal '{signal_name}' in message "
                 f"'{message_name}'" + _near(signal_name, list(signals))
             )
-        key = message.frame_id | (EXTENDED_ID if message.is_extended_frame else 0)
-        return key, _field(signals[signal_name], signals)
+        signal = signals[signal_name]
+        if (message_name, signal_name) in self._paged and not signal.multiplexer_ids:
+            raise ConfigError(
+                f"{where}.signal: {self.path} says that '{signal_name}' is on a page of "
+                f"'{message_name}', and not which signal tells the page",
+                cure="mark the multiplexer of that message with M",
+            )
+        try:
+            found = _field(signal, signals, bool(self.address(message_name)))
+        except KeyError:
+            raise ConfigError(
+                f"{where}.signal: {self.path} says that '{signal_name}' is a number of IEEE 754 "
+                f"with {signal.length} bits, or its multiplexer is one; there are 16, 32 and 64",
+                cure="correct SIG_VALTYPE_ or the length of the signal",
+            ) from None
+        return frame_key(message), found
+
+    def address(self, message_name: str) -> j1939.Address | None:
+        """Parameter group and sender of a message of J1939; None for any other."""
+        message = self._messages[message_name]
+        if not message.is_extended_frame:
+            return None
+        if message.protocol == "j1939" or j1939.stands_for_any(message.frame_id):
+            return j1939.address_of(message.frame_id)
+        return None
+
+    def senders(self, group: int) -> set[int]:
+        """Source addresses from which the DBC knows messages of a group, each of its own."""
+        extended = [each for each in self._messages.values() if each.is_extended_frame]
+        addresses = [j1939.address_of(each.frame_id) for each in extended]
+        return {each.source for each in addresses if each.group == group} - {j1939.ANY_SOURCE}
 
 
-def _check_bounds(text: bytes, name: str) -> None:
-    """Refuse what cantools would make room for: it does so before anybody can look.
+def frame_key(message: Any) -> int:
+    """Identifier of a message, with `EXTENDED_ID` where it has 29 bits."""
+    return int(message.frame_id | (EXTENDED_ID if message.is_extended_frame else 0))
 
-    Raises
-    ------
-    ConfigError
-        If a message is longer than any protocol on CAN carries, a signal longer than that, or a
-        multiplexer has more values than there can be pages.
+
+def _load(path: str, text: bytes) -> Any:
+    """Let cantools read a database; not strict: real ones have signals that overlap or stick out.
+
+    Whether a signal fits is seen frame by frame.
     """
-    for line in text.splitlines():
-        message, signal = _MESSAGE.match(line), _SIGNAL.match(line)
-        if message is not None and _beyond(message[2], _MESSAGE_BYTES):
-            raise _too_long(name, "message", message[1], f"{_MESSAGE_BYTES} bytes")
-        lengths = signal.groups()[1:] if signal is not None else ()
-        if signal is not None and any(_beyond(each, 8 * _MESSAGE_BYTES) for each in lengths):
-            raise _too_long(name, "signal", signal[1], f"{8 * _MESSAGE_BYTES} bits")
-        if line.lstrip().startswith(b"SG_MUL_VAL_"):
-            pages = sum(_pages(*each) for each in _RANGE.findall(line))
-            if pages > _PAGES:
-                raise _too_long(name, "multiplexer of", line.split()[2], f"{_PAGES} values")
+    if Path(path).suffix.lower() != ".dbc":
+        return cantools.database.load_file(path, strict=False)
+    marked = mark_extended(text).decode("cp1252", "replace")
+    return cantools.database.load_string(marked, "dbc", strict=False)
 
 
-def _beyond(digits: bytes, limit: int) -> bool:
-    return len(digits) > 9 or int(digits) > limit
-
-
-def _pages(first: bytes, last: bytes) -> int:
-    return _PAGES + 1 if len(first) > 9 or len(last) > 9 else 1 + int(last) - int(first)
-
-
-def _too_long(name: str, kind: str, what: bytes, most: str) -> ConfigError:
-    text = what.decode("ascii", "replace")[:64]
-    return ConfigError(f"{name}: {kind} {text} is longer than {most}", cure="correct the DBC")
-
-
-def _field(signal: Any, signals: dict[str, Any]) -> Field:
+def _field(signal: Any, signals: dict[str, Any], of_j1939: bool = False) -> Field:
     selectors: list[tuple[Field, frozenset[int]]] = []
     if signal.multiplexer_signal is not None and signal.multiplexer_ids:
         selector = _field(signals[signal.multiplexer_signal], signals)
         selectors.append((selector, frozenset(signal.multiplexer_ids)))
-    return Field(signal, selectors)
+    return Field(signal, selectors, of_j1939=of_j1939)
 
 
 def _near(name: str, names: list[str]) -> str:

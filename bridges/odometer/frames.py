@@ -108,18 +108,22 @@ class Content(NamedTuple):
 class SlcanLines:
     """Host's side of slcan (LAWICEL CAN232 manual): an adapter's bytes to frames.
 
-    Answers to commands are passed over, also when they end in a bell. A line that is no frame comes
-    back as an error frame of class `GARBLED`. Equal results for any split.
+    Lines end in a carriage return, a line feed or both, as firmware on Arduino's `println` sends
+    them. `d`, `D`, `b` and `B` are frames of CAN FD, without and with a faster data phase
+    (CANable's dialect). An adapter's own stamp behind the data, of 4 digits (milliseconds) or 8
+    (microseconds), is read over. Answers to commands are passed over, also when they end in a bell.
+    A line that is no frame comes back as an error frame of class `GARBLED`. Equal results for any
+    split.
     """
 
-    LONGEST = 64
-    """A frame of 29 bits with 8 bytes and a time stamp has 30 characters."""
+    LONGEST = 160
+    """A frame of 29 bits with 64 bytes and a stamp of 8 digits has 146 characters."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Content]:
-        *lines, rest = (self._rest + data.replace(b"\a", b"\r")).split(b"\r")
+        *lines, rest = (self._rest + data.translate(_ENDS)).split(b"\r")
         frames = [_slcan_frame(line) for line in lines if line[:1] not in _ANSWERS]
         if len(rest) > self.LONGEST:
             rest = b"?" + rest[-1:]  # no end in sight: garbled, whatever follows until the next end
@@ -127,9 +131,14 @@ class SlcanLines:
         return frames
 
 
+_ENDS = bytes.maketrans(b"\a\n", b"\r\r")
 _HEX = re.compile(rb"[0-9A-Fa-f]+")
 _ANSWERS = (b"", b"z", b"Z", b"V", b"v", b"N", b"F")
-_SLCAN_FLAGS = {b"t": 0, b"T": EXTENDED, b"r": REMOTE, b"R": REMOTE | EXTENDED}
+_SLCAN_FLAGS = {
+    b"t": 0, b"T": EXTENDED, b"r": REMOTE, b"R": REMOTE | EXTENDED,
+    b"d": FD, b"D": FD | EXTENDED, b"b": FD, b"B": FD | EXTENDED,
+}  # fmt: skip
+_STAMP_DIGITS = (0, 4, 8)
 
 
 def _slcan_frame(line: bytes) -> Content:
@@ -138,20 +147,21 @@ def _slcan_frame(line: bytes) -> Content:
     if not flags & ERROR and _HEX.fullmatch(line, 1) and len(line) >= 2 + digits:
         id_, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits], 16)
         payload = line[2 + digits :]
-        wanted = 0 if flags & REMOTE else 2 * length
-        stamped = wanted + 4  # an adapter's own time stamp
-        if length <= CLASSIC_LENGTH and len(payload) in (wanted, stamped):
-            return Content(id_ & ID_MASK, flags, bytes.fromhex(payload[:wanted].decode("ascii")))
+        wanted = 0 if flags & REMOTE else 2 * DATA_LENGTHS[length]
+        bits = ID_MASK if flags & EXTENDED else STANDARD_MASK
+        known = id_ <= bits and (length <= CLASSIC_LENGTH or flags & FD)
+        if known and len(payload) - wanted in _STAMP_DIGITS:
+            return Content(id_, flags, bytes.fromhex(payload[:wanted].decode("ascii")))
     return Content(GARBLED, ERROR, line[:8])
 
 
-def pack(frames: Iterable[CanFrame], device: str) -> CanFrames:
+def pack(frames: Iterable[CanFrame], device: str, *, read_stamps: bool = False) -> CanFrames:
     """One message of frames in the order of arrival; there must be one at least.
 
     Offsets cannot be negative: a stamp before its predecessor's (the host's clock was set while the
-    frame waited) becomes the predecessor's.
+    frame waited) becomes the predecessor's. `read_stamps` says that the stamps are of the reading.
     """
-    message = CanFrames(device=device)
+    message = CanFrames(device=device, read_stamps=read_stamps)
     first_ns = latest_ns = -1
     for frame in frames:
         if first_ns < 0:

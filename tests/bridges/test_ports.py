@@ -6,6 +6,7 @@ import errno
 import os
 import socket
 import struct
+import termios
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -20,9 +21,10 @@ import pytest
 import serial
 
 from tramstream import keys
-from tramstream.bridges import ports
+from tramstream.bridges import ports, serial_lines
 from tramstream.bridges.odometer import socketcan
 from tramstream.bridges.odometer.frames import ERROR, EXTENDED, FD, HOST_OVERFLOW, REMOTE, Content
+from tramstream.bridges.odometer.slcan import SlcanAdapter
 from tramstream.bridges.ports import CanPort, SerialPort, gnss_port, imu_port, odometer_port
 from tramstream.clock import VehicleClock
 from tramstream.config import Gnss, Imu, Odometer, Vehicle, Wheel
@@ -184,6 +186,102 @@ def test_reading_what_was_not_opened_is_a_device_error() -> None:
         port.close()
 
 
+@pytest.fixture
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of udev's links that stay the same."""
+    folder = tmp_path / "by-id"
+    folder.mkdir()
+    monkeypatch.setattr(serial_lines, "LINKS", (folder, tmp_path / "by-path"))
+    return folder
+
+
+@pytest.mark.live
+def test_device_that_comes_back_under_another_name_is_found(tmp_path: Path, links: Path) -> None:
+    device, other = Pty(tmp_path / "ttyACM0"), Pty(tmp_path / "ttyACM0")
+    device.plug()
+    (links / "usb-maker-7").symlink_to(os.readlink(device.link))
+    port = serial_port(device.link)
+    port.open()
+    assert port.place == str(device.link)
+    device.unplug()
+    (links / "usb-maker-7").unlink()
+    with pytest.raises(DeviceError):
+        until(port.read, lambda got: False)
+    other.plug()  # another device takes its name
+    device.link = tmp_path / "ttyACM1"
+    device.plug()
+    (links / "usb-maker-7").symlink_to(os.readlink(device.link))
+    (links / "usb-stranger-1").symlink_to(os.readlink(other.link))
+    port.open()
+    device.send(b"here")
+    other.send(b"there")
+    assert until(port.read, bool)[0].data == b"here"
+    assert os.path.realpath(port.place) == os.path.realpath(device.link)
+    port.close()
+    device.unplug()
+    other.unplug()
+
+
+@pytest.mark.live
+def test_spare_device_under_the_configured_name_is_taken(tmp_path: Path, links: Path) -> None:
+    device = Pty(tmp_path / "ttyACM0")
+    port = serial_port(device.link)
+    for serial_number in "12":
+        device.plug()
+        link = links / f"usb-maker-{serial_number}"
+        link.symlink_to(os.readlink(device.link))
+        port.open()
+        device.send(b"x")
+        assert until(port.read, bool)[0].data == b"x"
+        assert port.place == str(device.link)
+        device.unplug()
+        link.unlink()
+        port.close()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.EIO, "Input/output error"),
+        serial.SerialException(errno.EIO, "could not open port"),
+        termios.error(errno.EIO, "Input/output error"),
+        serial.SerialException("Could not configure port: (5, 'Input/output error')"),
+    ],
+    ids=["OSError", "pyserial", "termios", "without a number"],
+)
+def test_device_that_is_just_going_or_coming_is_a_device_error(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(DeviceError, match=r"/dev/ttyACM0: it (does not answer; .*cable|cannot)"):
+        serial_port("/dev/ttyACM0").open()
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("failing", [OSError(errno.EIO, "gone"), OSError(errno.ENODEV, "gone")])
+def test_read_that_fails_is_a_device_error_and_the_line_opens_again(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, failing: OSError
+) -> None:
+    port = serial_port(pty.link)
+    port.open()
+    pty.send(b"x")
+
+    def fail(*_: object) -> bytes:
+        raise failing
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "read", fail)
+        with pytest.raises(DeviceError, match="unplugged or hung up"):
+            until(port.read, lambda got: False)
+    port.open()
+    pty.send(b"again")
+    assert b"again" in b"".join(each.data for each in until(port.read, bool))
+    port.close()
+
+
 # CAN over python-can ------------------------------------------------------------------------------
 
 
@@ -254,6 +352,37 @@ def test_slcan_adapter_on_a_serial_line_is_opened_read_and_reopened(pty: Pty) ->
             port.open()
         port.close()
         pty.plug()
+
+
+@pytest.mark.live
+def test_frames_say_whether_somebody_stamped_them_when_they_came(pty: Pty, bus: Any) -> None:
+    port = can_port("slcan", pty.link)
+    port.open()
+    pty.send(b"t0AA0\r")
+    assert all(message.read_stamps for message in until(port.read, bool))
+    port.close()
+    port = can_port("virtual", "test_ports")
+    port.open()
+    bus.send(can.Message(arbitration_id=0xAA, is_extended_id=False))
+    assert not any(message.read_stamps for message in until(port.read, bool))
+    port.close()
+
+
+@pytest.mark.live
+def test_slcan_adapter_that_did_not_hear_its_opening_is_told_again(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may start after its port was opened: what was written before then is gone."""
+    monkeypatch.setattr(ports, "WAIT_S", 0.01)
+    port = can_port("slcan", pty.link, silence_s=1e-6)
+    port.open()
+    until(lambda: os.read(pty.master, 1000), lambda got: b"O\r" in b"".join(got))
+    adapter = SlcanAdapter()  # starts now
+    assert port.read() is None
+    heard = until(lambda: os.read(pty.master, 1000), lambda got: b"O\r" in b"".join(got))
+    adapter.feed(b"".join(heard))
+    assert adapter.channel_open
+    port.close()
 
 
 @pytest.mark.live

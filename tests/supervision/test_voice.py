@@ -14,6 +14,7 @@ from tramstream.events import define
 from tramstream.events.messages import message_of
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.supervision.budget import AGAIN_S, LINES, SOURCES
 from tramstream.supervision.voice import RING_CAPACITY, Voice
 from tramstream.transport.bus import LocalBus
 
@@ -70,6 +71,60 @@ def test_details_are_for_whoever_looks_for_something() -> None:
         scene.put(keys.LOG.at("ekf"), log.SerializeToString())
     scene.voice.speak()
     assert scene.said == ["ekf: a wheel"]
+
+
+def test_loose_plug_says_twenty_lines_and_then_twenty_a_minute() -> None:
+    """A device that comes and goes with each heartbeat, for an hour."""
+    scene = Scene()
+    for second in range(3600):
+        scene.now_s = float(second)
+        away = LATE(device="a", late_s=3.0)
+        beat = NodeHealth(node="imu", pid=42, text=str(away) if second % 2 else "")
+        beat.troubles.extend([message_of(away)] if second % 2 else [])
+        scene.put(keys.HEARTBEAT.at("imu"), beat.SerializeToString())
+        scene.put(keys.HEARTBEAT.at("ekf"), NodeHealth(node="ekf").SerializeToString())
+        scene.voice.speak()
+    assert 600 <= len(scene.said) <= LINES + 3600 / AGAIN_S
+    assert len(scene.beats) == 2 * 3600
+
+
+def test_flood_of_lines_is_counted_and_hides_nobody_elses() -> None:
+    scene = Scene()
+    for number in range(500):
+        log = Log(name="imu", message=f"line {number}")
+        scene.put(keys.LOG.at("imu"), log.SerializeToString())
+    scene.put(keys.LOG.at("ekf"), Log(name="ekf", message="a word").SerializeToString())
+    scene.voice.speak()
+    assert scene.said == [*(f"imu: line {number}" for number in range(LINES)), "ekf: a word"]
+    scene.now_s = AGAIN_S
+    scene.put(keys.LOG.at("imu"), Log(name="imu", message="more").SerializeToString())
+    scene.voice.speak()
+    assert scene.said[-1] == f"imu: more (and {500 - LINES} more lines)"
+
+
+def test_state_that_lasts_is_said_late_rather_than_never() -> None:
+    scene = Scene()
+    for number in range(100):
+        log = Log(name="imu", message=f"line {number}")
+        scene.put(keys.LOG.at("imu"), log.SerializeToString())
+    scene.voice.speak()
+    for second in range(10):
+        scene.now_s = float(second)
+        beat = NodeHealth(node="imu", pid=42, text="late")
+        scene.put(keys.HEARTBEAT.at("imu"), beat.SerializeToString())
+        scene.voice.speak()
+    assert [text for text in scene.said if "late" in text] == [
+        f"imu: late (and {100 - LINES} more lines)"
+    ]
+
+
+def test_any_number_of_made_up_names_says_no_more_lines_than_so_many() -> None:
+    scene = Scene()
+    for number in range(10_000):
+        log = Log(name=f"n{number}", message="I am")
+        scene.put(keys.LOG.at(f"n{number}"), log.SerializeToString())
+        scene.voice.speak()
+    assert len(scene.said) <= SOURCES + LINES
 
 
 def test_state_of_a_program_that_knows_no_events_is_told_by_its_text() -> None:

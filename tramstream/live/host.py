@@ -315,7 +315,7 @@ class ProcessorNode(Node):
             trouble = found[0] if found else None
             message = DeviceHealth(
                 device=self.name,
-                port=reader.port.device,
+                port=reader.place,
                 state=state,
                 text="" if trouble is None else str(trouble),
                 trouble=None if trouble is None else message_of(trouble),

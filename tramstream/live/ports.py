@@ -35,6 +35,11 @@ class Port(Protocol):
     device: str
     """Path or interface, for people."""
 
+    @property
+    def place(self) -> str:
+        """Where it was found when it was opened last: it may come back under another path."""
+        return self.device
+
     def open(self) -> None:
         """Open the device; `DeviceError` with the cure if that fails."""
 
@@ -85,6 +90,11 @@ class PortReader:
         """Wait for the thread to end; at once if it was never started."""
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
+
+    @property
+    def place(self) -> str:
+        """Where the device is, as far as the port tells."""
+        return getattr(self.port, "place", self.port.device)
 
     @property
     def silence_s(self) -> float:
@@ -139,7 +149,9 @@ def join_reads(reads: Sequence[Raw]) -> Raw:
     """One message of several consecutive reads; bridges get the same out of it."""
     first = reads[0]
     if isinstance(first, CanFrames):
-        frames = CanFrames(stamp_ns=first.stamp_ns, device=first.device)
+        frames = CanFrames(
+            stamp_ns=first.stamp_ns, device=first.device, read_stamps=first.read_stamps
+        )
         for read in reads:
             # Never negative: a stamp of the kernel's may lie before that of the read before.
             later_ns = max(0, read.stamp_ns - first.stamp_ns)

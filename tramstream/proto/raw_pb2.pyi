@@ -41,7 +41,7 @@ class RawBytes(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., data: _Optional[bytes] = ..., read_length: _Optional[_Iterable[int]] = ..., read_offset_ns: _Optional[_Iterable[int]] = ..., folding: _Optional[str] = ..., folded_from: _Optional[int] = ...) -> None: ...
 
 class CanFrames(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "device", "offset_ns", "id", "flags", "data")
+    __slots__ = ("stamp_ns", "sequence", "device", "offset_ns", "id", "flags", "data", "read_stamps")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     DEVICE_FIELD_NUMBER: _ClassVar[int]
@@ -49,6 +49,7 @@ class CanFrames(_message.Message):
     ID_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
+    READ_STAMPS_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     device: str
@@ -56,7 +57,8 @@ class CanFrames(_message.Message):
     id: _containers.RepeatedScalarFieldContainer[int]
     flags: _containers.RepeatedScalarFieldContainer[int]
     data: _containers.RepeatedScalarFieldContainer[bytes]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., offset_ns: _Optional[_Iterable[int]] = ..., id: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., data: _Optional[_Iterable[bytes]] = ...) -> None: ...
+    read_stamps: bool
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., device: _Optional[str] = ..., offset_ns: _Optional[_Iterable[int]] = ..., id: _Optional[_Iterable[int]] = ..., flags: _Optional[_Iterable[int]] = ..., data: _Optional[_Iterable[bytes]] = ..., read_stamps: _Optional[bool] = ...) -> None: ...
 
 class ImuBatch(_message.Message):
     __slots__ = ("stamp_ns", "sequence", "model", "first_sample_sequence", "period_ns", "gyro_scale_radps", "accel_scale_mps2", "temperature_scale_degc", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temperature", "diag_stat")

@@ -13,6 +13,7 @@ from tramstream.boundary import Undecodable, decode
 from tramstream.events.messages import identity_of
 from tramstream.keys import Key
 from tramstream.proto.health_pb2 import Loss, NodeHealth
+from tramstream.supervision.budget import Budget
 from tramstream.supervision.events import LEFT_OUT, NOT_BELIEVED
 from tramstream.transport.bus import Bus, Envelope
 from tramstream.transport.ring import Ring
@@ -43,6 +44,8 @@ class Listener(Protocol):
 
 class Voice:
     """Tells people what nodes log and when their state changes; each sentence once.
+
+    No node says more lines a minute than its budget has, whatever happens to it (`budget.py`).
 
     Heartbeats, losses and sentences have a queue each: a flood of one drowns no other. Anybody may
     publish on these keys; what is no message of theirs is counted, said and left out. Losses count
@@ -75,7 +78,8 @@ class Voice:
         self._recorder = keys.alive(vehicle, RECORDER)
         self._recorders: dict[int, None] = {}  # sessions, in the order in which they came
         self._known_s = -KNOW_S
-        self._say = say
+        self._say_line = say
+        self._budget = Budget(now_s)
         self._listener = listener
         self._now_s = now_s
         self._told_s = -AGAIN_S
@@ -104,7 +108,7 @@ class Voice:
             self._leave_out(message)
         elif isinstance(message, Log):
             if node != SUPERVISOR and message.level != Log.Level.DEBUG:  # it speaks for itself
-                self._say(f"{message.name}: {message.message}")
+                self._say(node, f"{message.name}: {message.message}")
         elif isinstance(message, NodeHealth):
             self._listener.heard(node, message.pid)
             self._tell_state(node, message)
@@ -129,7 +133,7 @@ class Voice:
             return
         self.strange += 1
         if self.strange == 1:
-            self._say(str(NOT_BELIEVED(session=f"{session:08x}")))
+            self._say_line(str(NOT_BELIEVED(session=f"{session:08x}")))
 
     def _tell_state(self, node: str, message: NodeHealth) -> None:
         """Say what is wrong with a node when that has changed: other kinds, or of other things."""
@@ -138,10 +142,20 @@ class Voice:
             kinds = ((message.text,),)  # of a program that knows no events
         if kinds == self._troubles.get(node, ()):
             return
+        text = f"{node}: {message.text or 'all is well again'}"
+        if not self._say(node, text, counted=False):
+            return  # with a later heartbeat, if it is still so
         if len(self._troubles) >= STATES_KEPT:
             self._troubles.clear()
         self._troubles[node] = kinds
-        self._say(f"{node}: {message.text or 'all is well again'}")
+
+    def _say(self, source: str, text: str, *, counted: bool = True) -> bool:
+        """Say a line of a node, if it has any left; whether it was said."""
+        unsaid = self._budget.spend(source, counted=counted)
+        if unsaid is None:
+            return False
+        self._say_line(f"{text} (and {unsaid} more lines)" if unsaid else text)
+        return True
 
     def _leave_out(self, message: Undecodable) -> None:
         self.left_out += 1
@@ -150,7 +164,7 @@ class Voice:
             self._told_s = now_s
             key, size_bytes, reason = message
             left_out = {"reason": reason, "left_out": self.left_out}
-            self._say(str(LEFT_OUT(key=key, size_bytes=size_bytes, **left_out)))
+            self._say_line(str(LEFT_OUT(key=key, size_bytes=size_bytes, **left_out)))
 
 
 def _putter(ring: Ring[Envelope]) -> Callable[[Envelope], None]:

@@ -370,6 +370,24 @@ def test_silence_of_hours_keeps_the_clock() -> None:
     assert batches[-1].stamp_ns == pytest.approx(truth_ns, abs=30 * MS)  # 2 ppm over 3 h
 
 
+@pytest.mark.parametrize(
+    ("sequence", "stamp_us"), [(2**24 + 110, 55_500), (110 + 2**30, 55_000), (2**31 - 1, 0)]
+)
+@pytest.mark.parametrize("size", [FRAME_LENGTH, 10**6])
+def test_sequence_that_jumps_by_hours_in_no_time_is_a_restart(
+    sequence: int, stamp_us: int, size: int
+) -> None:
+    """Arrivals tell that there was no silence in which the stamp could have wrapped."""
+    bridge = ImuBridge(vehicle())
+    data = Device().frames(110) + Device(sequence=sequence, stamp_us=stamp_us).frames(40)
+    batches = run(bridge, every(data, size))
+    check_columns(batches)
+    counters = bridge.device_counters()
+    assert counters["rejected_by_reason"] == {NOTE_RESTART: 1}
+    assert counters["samples_lost"] == 0
+    assert all(0 <= b.stamp_ns - HOST_START_NS + 60 * MS < S for b in batches)
+
+
 def test_open_batch_is_closed_by_a_read_that_brings_none_after_a_while() -> None:
     bridge = ImuBridge(vehicle())
     assert run(bridge, [(Device().frames(5), HOST_START_NS)]) == []

@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tramstream.bridges.odometer.candump import format_line, parse_line
+from tramstream.bridges.odometer.candump import (
+    LOCAL_DATE,
+    NO_LINE,
+    NO_STAMP,
+    format_line,
+    parse_line,
+)
 from tramstream.bridges.odometer.frames import (
     DATA_LENGTHS,
     ERROR,
@@ -77,6 +83,54 @@ def test_malformed_line_is_a_value_with_its_reason(line: str) -> None:
     assert isinstance(rejected, Rejected)
     assert rejected.reason
     assert rejected.text == line.strip()
+
+
+@pytest.mark.parametrize(
+    ("line", "frame"),
+    [
+        (" (1.5)  can0  0AA   [2]  1A 6F", (1_500_000_000, "can0", 0xAA, 0, b"\x1a\x6f")),
+        (" (1.5)  can0  0AA   [0] ", (1_500_000_000, "can0", 0xAA, 0, b"")),
+        ("(1.5)  vcan0  18FF0A31   [1]  01", (1_500_000_000, "vcan0", 0x18FF0A31, EXTENDED, b"\1")),
+        ("(1.5)  can0  RX - -  0AA   [2]  1A 6F", (1_500_000_000, "can0", 0xAA, 0, b"\x1a\x6f")),
+        ("(1.5)  can0  TX B E  0AA   [1]  1A", (1_500_000_000, "can0", 0xAA, 0, b"\x1a")),
+        ("(1.5)  can0  123   [4]  remote request", (1_500_000_000, "can0", 0x123, REMOTE, b"", 4)),
+        ("(1.5)  can0  123  [03]  11 22 33", (1_500_000_000, "can0", 0x123, FD, b"\x11\x22\x33")),
+        ("(1.5)  can0  123  [08]  " + "11 " * 8, (1_500_000_000, "can0", 0x123, FD, b"\x11" * 8)),
+        ("(1.5)  can0  123  [12]  " + "11 " * 12, (1_500_000_000, "can0", 0x123, FD, b"\x11" * 12)),
+        ("(1.5)  can0  123   [2]  41 42   'AB'", (1_500_000_000, "can0", 0x123, 0, b"AB")),
+        (
+            "(1.5)  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME",
+            (1_500_000_000, "can0", 0x4, ERROR, b"\0\1" + bytes(6)),
+        ),
+        (
+            "(1.5)  can0  RX - -  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME  '........'",
+            (1_500_000_000, "can0", 0x4, ERROR, b"\0\1" + bytes(6)),
+        ),
+        ("(1.0) can0 98FF0A31#01", (10**9, "can0", 0x18FF0A31, EXTENDED, b"\1")),
+    ],
+)
+def test_line_that_candump_shows_to_people_is_read(line: str, frame: tuple[object, ...]) -> None:
+    assert parse_line(line) == CanFrame(*frame)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("  can0  0AA   [2]  1A 6F", NO_STAMP),
+        ("can0 0AA#1A6F", NO_STAMP),
+        ("  can0  RX - -  18FF0A31   [1]  01", NO_STAMP),
+        (" (2023-11-14 22:13:20.000000)  can0  0AA   [2]  1A 6F", LOCAL_DATE),
+        ("(99999999999.000000) can0 0AA#1A6F", "its stamp is beyond the year 2262"),
+        ("(1.5)  can0  0AA   [3]  1A 6F", "length and data do not agree"),
+        ("(1.5)  can0  0AA   [2]  1A 6", "data is not pairs of hexadecimal digits"),
+        ("(1.5)  can0  0AA   [9]  " + "1A " * 9, "no frame has this many bytes"),
+        ("(1.5)  can0  0AA   [1]  1A   ERRORFRAME", "ERRORFRAME and identifier do not agree"),
+        ("(1.5)  can0  FFF   [1]  1A", "identifier has more than 11 bits"),
+        ("(1.5) can0 " + "1" * 600, NO_LINE),
+    ],
+)
+def test_shown_line_that_is_no_frame_says_why(line: str, reason: str) -> None:
+    assert parse_line(line) == Rejected(reason, line.strip())
 
 
 @st.composite
@@ -187,6 +241,34 @@ def test_slcan_lines_are_read_in_any_split(frames: list[CanFrame], cuts: list[in
     for start, end in pairwise(edges):
         contents += lines.feed(stream[start:end])
     assert contents == [Content(frame.id, frame.flags, frame.data) for frame in frames]
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n", b"\n\r", b"\r\r\n"])
+def test_slcan_lines_may_end_as_firmware_likes(end: bytes) -> None:
+    for cut in range(1, 20):
+        lines = SlcanLines()
+        stream = b"t0AA21A6F" + end + b"T18FF0A310" + end
+        contents = lines.feed(stream[:cut]) + lines.feed(stream[cut:])
+        assert contents == [Content(0xAA, 0, b"\x1a\x6f"), Content(0x18FF0A31, EXTENDED, b"")]
+
+
+@pytest.mark.parametrize(
+    ("line", "content"),
+    [
+        (b"d0AA21A6F", Content(0xAA, FD, b"\x1a\x6f")),
+        (b"D18FF0A3191" + b"1" * 23, Content(0x18FF0A31, FD | EXTENDED, b"\x11" * 12)),
+        (b"b0AAF" + b"22" * 64, Content(0xAA, FD, b"\x22" * 64)),
+        (b"B18FF0A31F" + b"22" * 64 + b"0001E240", Content(0x18FF0A31, FD | EXTENDED, b'"' * 64)),
+        (b"t0AA21A6F1234", Content(0xAA, 0, b"\x1a\x6f")),
+        (b"t0AA21A6F0001E240", Content(0xAA, 0, b"\x1a\x6f")),
+        (b"r0AA41234", Content(0xAA, REMOTE, b"")),
+        (b"t0AA91122334455667788", Content(GARBLED, ERROR, b"t0AA9112")),
+        (b"t0AA21A6F12345", Content(GARBLED, ERROR, b"t0AA21A6")),
+        (b"tFFF0", Content(GARBLED, ERROR, b"tFFF0")),
+    ],
+)
+def test_slcan_of_can_fd_and_with_stamps_is_read(line: bytes, content: Content) -> None:
+    assert SlcanLines().feed(line + b"\r") == [content]
 
 
 def test_garbled_slcan_lines_are_error_frames_and_the_next_is_read() -> None:

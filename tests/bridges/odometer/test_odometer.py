@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import pickle
 import struct
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from tramstream import keys
 from tramstream.bridges.odometer import candump
 from tramstream.bridges.odometer.bridge import (
+    NOTE_LATE,
     REJECT_NAN,
     REJECT_REMOTE,
     REJECT_SHORT,
@@ -33,6 +35,7 @@ from tramstream.bridges.odometer.frames import (
 )
 from tramstream.config import Odometer, Signal, Vehicle, Wheel
 from tramstream.errors import ConfigError
+from tramstream.events.messages import facts_of
 from tramstream.processor import Sample
 from tramstream.proto.raw_pb2 import Odometry
 
@@ -301,6 +304,69 @@ def test_multiplexed_speed_is_taken_from_its_page_only(dbc: str) -> None:
         frame(k, 300, bytes((k % 4,)) + struct.pack("<H", 10 * k) + bytes(5)) for k in range(8)
     ]
     assert [reading.wheels[0].speed_mps for reading in run(node, pages)] == [1.0, 5.0]
+
+
+def test_late_frames_of_a_reader_are_stamped_by_their_cycle_and_counted(dbc: str) -> None:
+    """A reader that stands still for 150 ms in each 400; arrivals are that late, stamps 1 ms."""
+    node = bridge(dbc)
+    errors_ms, out = [], []
+    for k in range(400):
+        sent_ms = 20 * k
+        waits_ms = 150 - sent_ms % 400 if k > 50 and sent_ms % 400 < 150 else 0
+        sent = [left(sent_ms + waits_ms, 5), right(sent_ms + waits_ms, 6)]
+        message = pack(sent, "/dev/ttyACM0", read_stamps=True)
+        out += node.step(Sample(keys.ODO_FRAMES, message, message.stamp_ns, k))
+        readings = [each.message for each in out if each.key is keys.ODO_WHEELS]
+        errors_ms.append((readings[-1].stamp_ns - 10**18) / 1e6 - sent_ms)
+    assert len(readings) == 400
+    assert max(map(abs, errors_ms)) < 1.0
+    stamps = [reading.stamp_ns for reading in readings]
+    assert all(after > before for before, after in pairwise(stamps))
+    late = sum(1 for k in range(51, 400) if 20 * k % 400 < 145)
+    assert node.device_counters()["rejected_by_reason"] == {NOTE_LATE: 2 * late}
+    assert node.device_counters()["frames_rejected"] == 0
+    events = [each.message for each in out if each.key == keys.EVENT.at("odometer")]
+    assert {each.kind for each in events} == {"odometer.read_late"}
+    assert len(events) == 2  # one for each message; the same again only after ten seconds
+
+
+def test_frames_that_the_kernel_stamped_keep_their_stamps(dbc: str) -> None:
+    node = bridge(dbc)
+    at_ms = [20 * k + (150 - 20 * k % 400 if 20 * k % 400 < 150 else 0) for k in range(200)]
+    readings = []
+    for ms in at_ms:
+        readings += run(node, [left(ms, 5), right(ms, 6)])
+    assert [(reading.stamp_ns - 10**18) // 1_000_000 for reading in readings] == at_ms
+
+
+def test_any_cut_of_late_frames_and_a_restored_bridge_give_the_same(dbc: str) -> None:
+    frames = []
+    for k in range(120):
+        ms = 20 * k + (150 - 20 * k % 400 if k > 50 and 20 * k % 400 < 150 else 0)
+        frames += [left(ms, k), right(ms, k)]
+
+    def feed(node: OdometerBridge, part: list[CanFrame]) -> list[Odometry]:
+        message = pack(part, "can0", read_stamps=True)
+        out = node.step(Sample(keys.ODO_FRAMES, message, message.stamp_ns, 1))
+        return [sample.message for sample in out if sample.key is keys.ODO_WHEELS]
+
+    whole = bridge(dbc)
+    expected = feed(whole, frames)
+    for cut in range(1, len(frames), 13):
+        first, second = bridge(dbc), bridge(dbc)
+        readings = feed(first, frames[:cut])
+        second.restore(first.snapshot())
+        assert readings + feed(second, frames[cut:]) == expected
+        assert second.snapshot() == whole.snapshot()
+
+
+def test_bus_without_a_configured_frame_is_said(dbc: str) -> None:
+    node = bridge(dbc)
+    message = pack([frame(100 * k, 0x555, b"") for k in range(60)], "can0")
+    out = node.step(Sample(keys.ODO_FRAMES, message, message.stamp_ns, 1))
+    (event,) = [each.message for each in out if each.key == keys.EVENT.at("odometer")]
+    assert event.kind == "odometer.unheard"
+    assert facts_of(event)["messages"] == "LEFT, RIGHT"
 
 
 # dirt ---------------------------------------------------------------------------------------------
