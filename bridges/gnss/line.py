@@ -22,7 +22,6 @@ _SINGLE_SHARE = 0.15
 """Of levels that last for one bit where none should; data at their own rate have a half."""
 _EXAMPLE = 40
 _RATES = (4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
-_STOP = 0x200
 
 
 @dataclass
@@ -73,10 +72,10 @@ def _guess(octets: np.ndarray, baud_rate: int) -> str:
 def levels(octets: np.ndarray) -> np.ndarray:
     """How many bits each level lasts that begins and ends within a character.
 
-    A character is its start bit (0), eight bits, the lowest first, and its stop bit (1).
+    A character is its start bit (0) and eight bits, the lowest first. Its stop bit is not kept by
+    who reads it, and where the rate is wrong it need not be 1.
     """
-    frames = octets.astype(np.uint16) << 1 | _STOP
-    bits = frames[:, None] >> np.arange(10) & 1
+    bits = octets[:, None].astype(np.uint16) << 1 >> np.arange(9) & 1
     lengths = []
     for row in bits:
         edges = np.flatnonzero(np.diff(row))
