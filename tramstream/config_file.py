@@ -79,7 +79,8 @@ def _check_names(vehicle: Vehicle, file: str) -> None:
 def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str, dict[str, Any]]:
     """Strangers' sections against the `Settings` of their classes, defaults filled in."""
     bridges = plugins.names("bridges")
-    running = [name for name in vehicle.processors if name in _strangers()]
+    strangers = _strangers()
+    running = [name for name in vehicle.processors if name in strangers]
     made = {}
     for section in dict.fromkeys((*sections, *running)):
         class_ = plugins.load("bridges" if section in bridges else "processors", section)

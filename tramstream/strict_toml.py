@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from functools import cache
 from typing import Any, TypeVar
 
 import msgspec
@@ -68,7 +69,7 @@ def convert(raw: Any, type_: type[Decoded], name: str, path: str = "$") -> Decod
         One sentence with the file, the path of the field and what was expected.
     """
     try:
-        _check(raw, msgspec.inspect.type_info(type_), path)
+        _check(raw, _info(type_), path)
         return msgspec.convert(raw, type_)
     except msgspec.ValidationError as error:  # its paths begin at the part, not at the document
         text = str(error).replace("`$", f"`{path}")
@@ -76,6 +77,9 @@ def convert(raw: Any, type_: type[Decoded], name: str, path: str = "$") -> Decod
         raise ConfigError(f"{name}: {text}{where}") from error
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+
+
+_info = cache(msgspec.inspect.type_info)
 
 
 def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:

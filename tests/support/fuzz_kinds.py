@@ -6,6 +6,7 @@ import json
 import random
 import struct
 import tempfile
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from networks import town
 from record_rides import CONFIG, batch, fix, wheels
 from record_samples import START_NS
 
-from tramstream import config_file, keys
+from tramstream import config_file, keys, plugins
 from tramstream.analysis.evaluate.source import gather
 from tramstream.analysis.report.source import collect
 from tramstream.analysis.tables import captures
@@ -27,6 +28,7 @@ from tramstream.cli.info import info
 from tramstream.cli.init import template
 from tramstream.cli.map_info import info as map_info
 from tramstream.cli.recover import recover
+from tramstream.config import Gnss, Imu, Odometer, Wheel
 from tramstream.lines import geojson, traces
 from tramstream.lines.line import built_in_line
 from tramstream.live import registry
@@ -44,6 +46,8 @@ from tramstream.tracks.linear_reference import references
 from tramstream.tracks.rails import Search
 from tramstream.tracks.run_graph import RunGraph
 
+plugins.points = cache(plugins.points)
+"""Nothing is installed meanwhile; looking for it takes most of the time of a small file."""
 ROOT = Path(__file__).parents[2]
 QUICK = replace(CONFIG, processors=("resampler", "distance"))
 """Everything but the filter: a step of it is compiled for long, and none of it reads files."""
@@ -66,25 +70,12 @@ def fresh(path: Path) -> Path:
 
 # Configurations -----------------------------------------------------------------------------------
 def configurations(folder: Path) -> list[bytes]:
-    written = [line.removeprefix("#") for line in template().splitlines()]
-    plain = [line for line in written if line and not line.startswith("# ")]
-    whole = "\n".join(plain).replace("FILL IN", "x")
-    return (
-        [template().replace("FILL IN", "x").encode(), whole.encode()]
-        if _reads(whole)
-        else [
-            template().replace("FILL IN", "x").encode(),
-            config_file.to_toml(CONFIG).encode(),
-        ]
-    )
-
-
-def _reads(text: str) -> bool:
-    try:
-        config_file.parse(text.encode(), "whole", ROOT)
-    except Exception:  # noqa: BLE001  then another text is begun with
-        return False
-    return True
+    """That of `init`, and one in which every setting is live."""
+    imu, gnss = Imu(device="/dev/imu"), Gnss(device="/dev/gnss")
+    wheel = Wheel(message="WHEELS", signal="LEFT", kind="pulses")
+    odometer = Odometer(interface="virtual", channel="can0", dbc="a.dbc", wheels={"left": wheel})
+    whole = replace(CONFIG, imu=imu, gnss=gnss, odometer=odometer)
+    return [template().replace("FILL IN", "x").encode(), config_file.to_toml(whole).encode()]
 
 
 def use_configuration(path: Path) -> None:
@@ -189,12 +180,12 @@ def use_scenario(path: Path) -> None:
         pass
 
 
-def _line(count: int = 30) -> list[list[float]]:
-    return [[14.42 + 1e-4 * k, 50.08 + 2e-5 * k * (k % 3), 250.0] for k in range(count)]
+def _line(count: int = 12) -> list[list[float]]:
+    return [[14.42 + 3e-4 * k, 50.08 + 1e-5 * k * k, 250.0 + k] for k in range(count)]
 
 
 def lines(folder: Path) -> list[bytes]:
-    properties = {"line": "7", "direction": "0", "stops": ["A", "B"], "times": list(range(30))}
+    properties = {"line": "7", "direction": "0", "stops": ["A", "B"], "times": list(range(12))}
     line = {"type": "LineString", "coordinates": _line()}
     feature = {"type": "Feature", "properties": properties, "geometry": line}
     stop = {"type": "Point", "coordinates": [14.421, 50.0801]}
@@ -233,7 +224,7 @@ def osm(folder: Path) -> list[bytes]:
         for k, (lon, lat, _) in enumerate(_line(), 1)
     ]
     tags = {"railway": "tram", "oneway": "yes", "maxspeed": "50"}
-    way = {"type": "way", "id": 10, "nodes": list(range(1, 31)), "tags": tags}
+    way = {"type": "way", "id": 10, "nodes": list(range(1, 13)), "tags": tags}
     members = [{"type": "way", "ref": 10, "role": ""}, {"type": "node", "ref": 1, "role": "stop"}]
     route = {"type": "route", "route": "tram", "ref": "7"}
     relation = {"type": "relation", "id": 5, "members": members, "tags": route}

@@ -36,6 +36,9 @@ _REVERSAL_RAD = 2.0
 _SAME_M = 0.05
 """Nodes closer than that are one."""
 _SHORTEST_M = 50.0
+_LONGEST_M = 200_000.0
+"""The longest tramway of the world has 68 km; a fit across a continent takes all memory."""
+_HIGHEST_M = 10_000.0
 _HEIGHT_STEP_M = 10.0
 _SMOOTH_M = 60.0
 """Deviation of the Gaussian that smooths heights; SRTM3 has a pixel every 90 m."""
@@ -111,6 +114,8 @@ def track(document: Any, name: str, chosen: str = "", geoid_m: float = PRAGUE_GE
     if isinstance(stops, list):
         try:
             stops_m = [float(stop[1]) for stop in stops]
+            if not all(abs(each) <= _LONGEST_M for each in stops_m):  # NaN is not
+                raise ValueError
         except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
             raise ConfigError(
                 f"{name}: line {label}: property stops must read [[name, chainage], …]"
@@ -118,9 +123,9 @@ def track(document: Any, name: str, chosen: str = "", geoid_m: float = PRAGUE_GE
     if not stops_m:
         stops_m = _points_beside(features, geodetic)
     length_m = properties.get("length_m")
-    return Track(
-        label, geodetic, stops_m, float(length_m) if isinstance(length_m, int | float) else None
-    )
+    if length_m is not None and not _is_length(length_m):
+        raise ConfigError(f"{name}: line {label}: property length_m must be a length, m")
+    return Track(label, geodetic, stops_m, None if length_m is None else float(length_m))
 
 
 def lay(mapped: Track) -> Line:
@@ -238,7 +243,18 @@ def _geodetic(
             kept.append(index)
     if len(kept) < 2:
         raise ConfigError(f"{where}: needs two nodes at least")
+    if not np.all(np.abs(height) <= _HIGHEST_M):
+        raise ConfigError(f"{where}: heights must be within {_HIGHEST_M:.0f} m")
+    if not np.hypot(*np.diff(plan[kept], axis=0).T).sum() <= _LONGEST_M:
+        raise ConfigError(
+            f"{where}: is longer than {_LONGEST_M / 1000:.0f} km; are its nodes right?"
+        )
     return geodetic[kept]
+
+
+def _is_length(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return bool(number and _SAME_M <= value <= _LONGEST_M)
 
 
 def _points_beside(features: list[dict[str, Any]], geodetic: Array) -> list[float]:

@@ -31,6 +31,23 @@ _PLACES = {"starts": "i4", "following_starts": "i4", "following": "i4"}
 KINDS = {**_PER_TRACK, **_PER_NODE, **_PER_SAMPLE, **_PLACES}
 """Every array of a network and what its numbers are, as numpy names it."""
 _MAY_BE_UNKNOWN = ("height", "grade_rad", "grade_std_rad")
+_FAR_M = 1e7
+"""Nothing lies farther from the plan's origin."""
+_LIMITS = {
+    "length_m": _FAR_M,
+    "east": _FAR_M,
+    "north": _FAR_M,
+    "yaw_rad": 1e6,
+    "curvature_per_m": 1e3,
+    "across_std_m": _FAR_M,
+    "yaw_std_rad": 1e3,
+    "height": 1e5,
+    "grade_rad": 10.0,
+    "grade_std_rad": 1e3,
+}
+"""Sizes that no rail has: beyond them sums and squares are no numbers any more."""
+_SPACING_M = (1e-6, 1e3)
+"""Of the samples of a track, least and most: how many fit between two places is counted."""
 
 
 def doubt_of(arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -48,9 +65,10 @@ def doubt_of(arrays: Mapping[str, NDArray[Any]]) -> str:
     for name, length in lengths.items():
         if len(arrays[name]) != length:
             return f"{name} has {len(arrays[name])} numbers, not {length}"
-    if not tracks or starts[0] != 0 or np.any(np.diff(starts) < 2):
+    counts = np.diff(starts.astype(np.int64))  # 32 bits would run over
+    if not tracks or starts[0] != 0 or np.any(counts < 2):
         return "starts do not rise"
-    if following_starts[0] != 0 or np.any(np.diff(following_starts) < 0):
+    if following_starts[0] != 0 or np.any(np.diff(following_starts.astype(np.int64)) < 0):
         return "following_starts do not rise"
     if following_starts[-1] != len(arrays["following"]):
         return "following_starts end elsewhere than following"
@@ -61,7 +79,13 @@ def doubt_of(arrays: Mapping[str, NDArray[Any]]) -> str:
         known = kind[0] != "f" or name in _MAY_BE_UNKNOWN or np.all(np.isfinite(arrays[name]))
         if not known:
             return f"{name} holds what is no number"
-    return "" if np.all(arrays["length_m"] > 0) else "length_m has tracks of no length"
+    for name, limit in _LIMITS.items():
+        if np.any(np.abs(arrays[name]) > limit):  # NaN is not
+            return f"{name} is larger than any rail's"
+    spacing_m = arrays["length_m"] / (counts - 1)
+    if np.any(spacing_m < _SPACING_M[0]) or np.any(spacing_m > _SPACING_M[1]):
+        return "length_m does not fit the samples"
+    return ""
 
 
 def are_below(numbers: NDArray[Any] | Iterable[int], limit: int) -> bool:
@@ -70,6 +94,6 @@ def are_below(numbers: NDArray[Any] | Iterable[int], limit: int) -> bool:
     return len(found) == 0 or bool(min(found) >= 0 and max(found) < limit)
 
 
-def are_numbers(values: Iterable[float]) -> bool:
-    """Whether all are finite."""
-    return all(math.isfinite(value) for value in values)
+def are_lengths(values: Iterable[float]) -> bool:
+    """Whether all are finite, and none is larger than anything on Earth."""
+    return all(math.isfinite(value) and abs(value) <= _FAR_M for value in values)

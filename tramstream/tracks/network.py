@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import zipfile
 import zlib
@@ -351,12 +352,20 @@ def _doubt_of(names: _Names, tracks: int) -> str:
     """What the names say of tracks that are not there; empty if nothing."""
     of_tracks = [stop.track for stop in names.stops] + [way.track for way in names.ways]
     of_runs = [run for line in names.lines for run in line.runs]
-    numbers = [names.latitude_rad, names.longitude_rad, names.height_m, names.node_std_m]
+    lengths = [names.height_m, names.node_std_m]
+    lengths += [stop.chainage_m for stop in names.stops]
+    lengths += [end for way in names.ways for end in (way.from_m, way.to_m)]
+    for line in names.lines:
+        lengths += [line.begin_m, line.length_m, *(stop.chainage_m for stop in line.stops)]
     if not check.are_below(of_tracks, tracks):
         return "stops or ways on tracks that are not there"
     if not check.are_below(of_runs, 2 * tracks):
         return "lines over tracks that are not there"
-    return "" if check.are_numbers(numbers) else "a place that is none"
+    if not all(line.runs for line in names.lines):
+        return "a line over no track"
+    if abs(names.latitude_rad) > math.pi / 2 or abs(names.longitude_rad) > 2 * math.pi:
+        return "a place that is none"
+    return "" if check.are_lengths(lengths) else "lengths that nothing on Earth has"
 
 
 def _no_network(path: Path) -> ConfigError:
