@@ -122,25 +122,7 @@ def import_(
     if json_:
         print(json.dumps(result))
         return
-    for key, count in result["messages"].items():
-        say(f"{key:28} {count:8d}")
-    for device, counters in result["devices"].items():
-        reasons = ", ".join(f"{n} {reason}" for reason, n in counters["rejected_by_reason"].items())
-        say(
-            f"{device}: {counters['messages_decoded']} decoded, {counters['frames_rejected']} "
-            f"rejected ({counters['bytes_rejected']} bytes){': ' + reasons if reasons else ''}"
-        )
-    of_tables = 0
-    for table in result["tables"]:
-        say(_told(table))
-        of_tables += table["malformed_lines"]
-    if result["malformed_lines"] > of_tables:
-        lines = result["malformed_lines"] - of_tables
-        first = result["can"]["first_malformed"]
-        say(f"{can}: {lines} lines are no CAN frames and were left out; {first}")
-    for text in _told_of_log(result["can"]):
-        say(f"{can}: {text}")
-    print(f"{out}: {sum(result['messages'].values())} messages")
+    _tell(out, result, can)
 
 
 _CURES = {
@@ -164,6 +146,31 @@ def _nothing_in(result: dict[str, Any], files: dict[str, Path | None]) -> tuple[
         told += [f"{lines} lines are no CAN frames"] if lines else []
         return f"{files[device]}: nothing in it decodes: {', '.join(told)}", _CURES[device]
     return None
+
+
+def _tell(out: Path, result: dict[str, Any], can: Path | None) -> None:
+    """What became of an import, for people."""
+    from tramstream.cli.terminal.session import say
+
+    for key, count in result["messages"].items():
+        say(f"{key:28} {count:8d}")
+    for device, counters in result["devices"].items():
+        reasons = ", ".join(f"{n} {reason}" for reason, n in counters["rejected_by_reason"].items())
+        say(
+            f"{device}: {counters['messages_decoded']} decoded, {counters['frames_rejected']} "
+            f"rejected ({counters['bytes_rejected']} bytes){': ' + reasons if reasons else ''}"
+        )
+    of_tables = 0
+    for table in result["tables"]:
+        say(_told(table))
+        of_tables += table["malformed_lines"]
+    if result["malformed_lines"] > of_tables:
+        lines = result["malformed_lines"] - of_tables
+        first = result["can"]["first_malformed"]
+        say(f"{can}: {lines} lines are no CAN frames and were left out; {first}")
+    for text in _told_of_log(result["can"]):
+        say(f"{can}: {text}")
+    print(f"{out}: {sum(result['messages'].values())} messages")
 
 
 def _told(table: dict[str, Any]) -> str:

@@ -16,8 +16,7 @@ from typing import Any, NoReturn
 import typer
 
 from tramstream import __version__
-from tramstream.cli import start
-from tramstream.cli.start import Ending
+from tramstream.cli.ending import Ending, until_ended
 from tramstream.errors import TramstreamError
 from tramstream.shown import shown
 from tramstream.transport import zenoh_threads
@@ -123,4 +122,4 @@ def leave(status: int) -> NoReturn:
 
 
 if __name__ == "__main__":
-    start.main(main)
+    until_ended(main)
