@@ -16,15 +16,17 @@ from pathlib import Path
 
 import msgspec
 import networks
+import numpy as np
 import pytest
 from live import finished
 
 from tramstream import keys
 from tramstream.config import Map
 from tramstream.errors import MachineCodeError
+from tramstream.estimation.kalman import sound
 from tramstream.graph import Graph
 from tramstream.live.registry import make_processors
-from tramstream.machine import compilation, machine_code
+from tramstream.machine import compilation, kernels, machine_code
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 
@@ -247,6 +249,17 @@ def compiler(folder: Path, body: str) -> list[str]:
 
 
 WHOLE = "machine_code.mark_complete([])\n"
+
+
+def test_bound_kernel_computes_the_same_and_takes_no_other_types() -> None:
+    x, P = np.zeros(2), np.eye(2)
+    code = kernels.bound(sound, x, P)
+    assert code(x, P) is sound(x, P) is True
+    assert code(np.full(2, np.nan), P) is False
+    with pytest.raises(TypeError):
+        code(x.astype(np.float32), P)
+    with pytest.raises(TypeError):
+        code(x)  # type: ignore[call-arg]
 
 
 def test_machine_code_that_is_whole_is_not_waited_for(tmp_path: Path, cache: Path) -> None:

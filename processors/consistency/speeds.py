@@ -110,8 +110,7 @@ def _delay(fixes: Fixes, path: Course) -> tuple[float, float]:
     if known.sum() < LEAST_FIXES:
         return nothing
     v, g, time_s = v[:, known], g[known], time_s[known]
-    cost = np.array([_misfit(each, g) for each in v])
-    best = int(cost.argmin())
+    best = int(_misfit(v, g).argmin())
     if best in (0, len(DELAYS_S) - 1):
         return nothing
     return _refined(float(DELAYS_S[best]), time_s, g, path)
@@ -134,15 +133,16 @@ def _refined(delay_s: float, time_s: Array, g: Array, path: Course) -> tuple[flo
     return (delay_s, std_s) if abs(delay_s) < DELAYS_S[-1] else (np.nan, np.nan)
 
 
-def _misfit(v: Array, g: Array) -> float:
-    """Robust sum of squares of g − c v, with the best c."""
-    weight = np.ones(len(g))
+def _misfit(v: Array, g: Array) -> Array:
+    """Robust sum of squares of g − c v, with the best c; for each row of v."""
+    weight = np.ones(v.shape)
     for _ in range(PASSES):
-        c = float(weight @ (v * g)) / max(float(weight @ (v * v)), 1e-9)
-        off = np.abs(g - c * v)
-        limit = CLIP * max(1.4826 * float(np.median(off)), 1e-3)
+        c = (weight * v * g).sum(axis=1) / np.maximum((weight * v * v).sum(axis=1), 1e-9)
+        off = np.abs(g - c[:, None] * v)
+        limit = CLIP * np.maximum(1.4826 * np.median(off, axis=1, keepdims=True), 1e-3)
         weight = np.minimum(1.0, limit / np.maximum(off, 1e-9))
-    return float((np.minimum(off, limit) ** 2).sum())
+    squares: Array = np.minimum(off, limit) ** 2
+    return np.asarray(squares.sum(axis=1))
 
 
 def lever(fixes: Fixes, path: Course, turned: Course, found: Speeds, wheels_left_m: float) -> Lever:

@@ -90,7 +90,7 @@ class Way:
         dt_s = time_s - memory.read_s
         if dt_s <= 0.0:
             return
-        ways = [self._way(wheel, dt_s) for wheel in reading.wheels]
+        ways = [self._way(wheel, dt_s) for wheel in reading.wheels[:]]
         known = [way for way in ways if way is not None]
         if not known:
             return

@@ -18,12 +18,13 @@ from tramstream.clock import S
 from tramstream.config import Map
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import HEADING_UNKNOWN, STARTING, Estimate
+from tramstream.machine.kernels import bound
 from tramstream.processors.matching import hypotheses as kernels
 from tramstream.processors.matching import step as steps
 from tramstream.processors.matching.parting import beyond_switch_m, surest
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import Network
-from tramstream.tracks.rails import Rails, Search, rails_of
+from tramstream.tracks.rails import Rails, Search, nearest_sample, rails_of, views_of
 
 SEARCH_STDS = 3.5
 SEARCH_MORE_M, SEARCH_MOST_M = 10.0, 150.0
@@ -145,6 +146,7 @@ class Matcher:
     ) -> None:
         self.network = network
         self._rails = rails_of(network)
+        self._views = views_of(self._rails)
         self._names: dict[int, str] = {}
         self._search = Search(network)
         self._beyond_m = beyond_switch_m(network)
@@ -157,11 +159,18 @@ class Matcher:
         )
         self._motion = np.zeros(kernels.MOTION)
         self._out = np.zeros(steps.OUT)
+        values = frame = np.zeros(0)
+        known = self.memory, self._rails, values, frame, self._constants, self._motion, self._out
+        self._advance = bound(steps.advance, *known)
 
     @property
     def rails(self) -> Rails:
         """The network as kernels read it."""
         return self._rails
+
+    def sample_at(self, run: int, chainage_m: float) -> int:
+        """Give the sample of the network nearest to a place on a run."""
+        return nearest_sample(self._views, run, chainage_m)
 
     def name_of(self, run: int) -> str:
         """Name of a run; kept, for it is asked a hundred times a second."""
@@ -220,7 +229,7 @@ class Matcher:
         z[kernels.STEP] = min(max(dt, 0.0), self._gap_s)
         z[kernels.STANDING], z[kernels.HEADED] = estimate.standing, headed
         self.remembered.stamp_ns = estimate.stamp_ns
-        steps.advance(
+        self._advance(
             self.memory,
             self._rails,
             estimate.values,

@@ -184,7 +184,7 @@ class States(Source):
             message.acceleration_mps2,
             message.yaw_rate_radps,
         ]
-        numbers += message.covariance
+        numbers += message.covariance[:]  # a copy: three times as fast as protobuf's own
         if len(numbers) != COVARIANCE + UPPER:
             numbers[COVARIANCE:] = _covariance(message)[np.triu_indices(7)].tolist()
         if not math.isfinite(sum(numbers)):
@@ -199,7 +199,7 @@ class States(Source):
         if not message.standing and memory.stamp_ns:
             memory.way_m += abs(speed_mps) * min(max((stamp_ns - memory.stamp_ns) / S, 0.0), 1.0)
         memory.stamp_ns = stamp_ns
-        for each in message.innovations:
+        for each in message.innovations[:]:
             name = each.measurement
             if name.startswith(SATELLITES):
                 memory.fixes_ns = stamp_ns

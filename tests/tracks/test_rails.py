@@ -28,7 +28,15 @@ from numpy.typing import NDArray
 
 from tramstream.lines.line import Line, built_in_line
 from tramstream.tracks.network import Network
-from tramstream.tracks.rails import Search, beside, place, rails_of, sample_at
+from tramstream.tracks.rails import (
+    Search,
+    beside,
+    nearest_sample,
+    place,
+    rails_of,
+    sample_at,
+    views_of,
+)
 
 MM = 1e-3  # m
 MRAD = 1e-3
@@ -91,6 +99,7 @@ def test_runs_backwards_mirror_runs_forwards() -> None:
         assert math.cos(back_yaw - yaw) == pytest.approx(-1.0)
         assert back_k == pytest.approx(-k, abs=1e-12)
         assert abs(sample_at(rails, 1, length - s) - sample_at(rails, 0, s)) <= 1
+        assert nearest_sample(views_of(rails), 0, s) == sample_at(rails, 0, s)
 
 
 def test_across_is_left_of_the_run_whichever_way_it_goes() -> None:

@@ -128,6 +128,18 @@ def compiled(function: F) -> F:
     return cast(F, jitted)
 
 
+def bound(kernel: F, *arguments: Any) -> F:
+    """Give the machine code of a kernel for arguments of the types of these.
+
+    It looks no types up: those of a tuple of fourteen arrays take longer than the call. Whoever
+    hands in others gets a TypeError.
+    """
+    jitted: Any = kernel
+    signature = tuple(numba.typeof(each) for each in arguments)
+    jitted.compile(signature)
+    return cast(F, jitted.overloads[signature].entry_point)
+
+
 def used() -> frozenset[str]:
     """Names of the files that this process has loaded or made."""
     return frozenset(_used)

@@ -70,20 +70,29 @@ def rails_of(network: Network) -> Rails:
     )
 
 
+def views_of(rails: Rails) -> Rails:
+    """Give the same for Python code: one number takes a third of the time that numpy takes."""
+    views: list[Any] = [each.data for each in rails]
+    return Rails(*views)
+
+
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
 
 
-@compiled
-def sample_at(rails: Rails, run: int, s: float) -> int:
+def nearest_sample(rails: Rails, run: int, s: float) -> int:
     """Give the sample nearest to chainage `s` of a run."""
     track = run >> 1
     at = s if run & 1 == 0 else rails.length_m[track] - s
     first, end = rails.starts[track], rails.starts[track + 1]
     index = first + int(max(at, 0.0) / rails.spacing_m[track] + 0.5)
     return int(min(index, end - 1))
+
+
+sample_at = compiled(nearest_sample)
+"""The same for kernels: Python hands fourteen arrays over in ten times what is computed here."""
 
 
 @compiled
