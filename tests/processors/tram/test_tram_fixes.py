@@ -169,6 +169,22 @@ def test_height_of_a_first_fix_that_was_far_away_does_not_stay() -> None:
     assert np.abs(errors.p_l[:, 2]).max() < 8.0
 
 
+def test_fixes_without_a_height_say_nothing_of_it_and_place_the_vehicle_as_well() -> None:
+    """A receiver that tells only the height above the sea, 45 m off; every fix is such."""
+    ride = ridden(laid(PLAN), city(), 2, 60.0)
+    frames = []
+    for each in ride.frames:
+        frame = SyncFrame()
+        frame.CopyFrom(each)
+        for fix in frame.gnss:
+            fix.height_msl_m = fix.height_ellipsoid_m - 45.0
+            fix.ClearField("height_ellipsoid_m")
+        frames.append(frame)
+    told, untold = (localised(ride, each).within(40.0, 60.0) for each in (ride.frames, frames))
+    assert np.abs(untold.p_l[:, :2] - told.p_l[:, :2]).max() < 0.2
+    assert np.sqrt(untold.covariance[:, 2, 2]).min() > 100.0
+
+
 def test_receiver_that_boasts_tenfold_is_said_and_weighed() -> None:
     """Errors of 0.5 m on an axis, stated as 0.05 m: within 3 σ for 97 % of the time."""
     gnss = {"stated_horizontal_std_m": 0.05, "stated_vertical_std_m": 0.1, "rate_hz": 5.0}
