@@ -220,7 +220,7 @@ def listening_lasts(monkeypatch, counted) -> None:
             "another bit rate than 460800",
         ),
         (
-            lambda number: b"\x00\x81" if number == 1 else b"",
+            lambda number: b"\x00\x81" if number % 25 == 0 else b"",
             lambda message: 3.0 if message is not None else 0.0,
             State.WARNING,
             "nothing that gnss understands",
