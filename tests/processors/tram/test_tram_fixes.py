@@ -43,7 +43,8 @@ def test_deviation_of_an_axis_is_that_of_the_distance_over_root_two(
 
 
 def test_deviations_of_latitude_and_longitude_come_back_as_those_of_the_axes() -> None:
-    epoch = Epoch(0, 0, 0, 0, quality=1, latitude_deg=50.0, longitude_deg=14.0, altitude_m=200.0)
+    epoch = Epoch(0, 0, 0, 0, quality=1, latitude_deg=50.0, longitude_deg=14.0)
+    epoch.altitude_m, epoch.separation_m = 200.0, 45.0
     epoch.std_m = [3.0, 3.0, 5.0]
     assert deviations(fix_of(epoch, 100.0), FLOOR_M) == pytest.approx((3.0, 5.0))
 
