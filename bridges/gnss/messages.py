@@ -51,7 +51,7 @@ def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> 
         source=message.name,
         itow_ms=f["iTOW"],
         gps_time_ns=gps_time_ns,
-        fix_type=fix_type if fix_type <= GnssFix.TIME_ONLY else GnssFix.NO_FIX,
+        fix_type=fix_type_of(fix_type),
         differential=bool(flags & 2),
         latitude_deg=f["lat"],
         longitude_deg=f["lon"],
@@ -71,6 +71,12 @@ def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> 
         _add_navigation(out, message)
     judge(out, bool(flags & 1), max_accuracy_m)
     return out
+
+
+def fix_type_of(told: int) -> GnssFix.FixType:
+    """Fix type as UBX numbers it; what it does not know is none."""
+    types = GnssFix.FixType.values()
+    return types[told] if told < len(types) else GnssFix.NO_FIX
 
 
 def judge(of: GnssFix, fix_ok: bool, max_accuracy_m: float) -> None:

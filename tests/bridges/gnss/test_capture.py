@@ -77,6 +77,17 @@ def test_clock_of_a_receiver_without_a_fix_makes_the_ride_no_longer(date: str) -
     assert arrivals_s(undated)[-1] == 1.0
 
 
+def test_date_that_is_found_late_is_that_of_the_whole_capture() -> None:
+    """1024 weeks back, or a wrong one before, though the receiver vouched for it."""
+    data = b"".join(rmc(f"1159{s}.00", "200504") for s in range(50, 60))
+    data += b"".join(rmc(f"12000{s}.00", "040124") for s in range(10))
+    assert arrivals_s(data) == list(range(20))
+    assert read_times(data)[-1][1] == (1_704_369_609 + 18) * S
+    lost = data + b"".join(rmc(f"00000{s}.00", "200504") for s in range(3))
+    assert read_times(lost)[:20] == read_times(data)
+    assert arrivals_s(lost) == list(range(23))
+
+
 def test_capture_that_tells_no_time_has_no_arrivals() -> None:
     assert read_times(b"# nothing\n") == read_times(b"") == []
     assert read_times(nmea_frame("GNGGA,,,,,,0,00,99.99,,,,,,")) == []
