@@ -200,9 +200,8 @@ class GnssBridge(Processor):
             return out  # the same position as in the fix
         key, build = made
         built = build(message, gps_ns)
-        if isinstance(built, GnssInterference):
-            if not memory.interference.take(built, arrival_ns):
-                return out
+        if isinstance(built, GnssInterference) and not memory.interference.take(built, arrival_ns):
+            return out
         sample = self.emit(key, built, self._stamp(key, gps_ns, arrival_ns))
         if name == "NAV-COV":
             memory.covariance = sample.message
