@@ -132,13 +132,17 @@ class _Messages:
     def level(self) -> LocalLevel:
         """The local level at the message that was recorded first."""
         latitude_deg, longitude_deg, height_m = (float(self.all(name)[0]) for name in _PLACE)
-        return LocalLevel.at_deg(latitude_deg, longitude_deg, height_m)
+        return LocalLevel.at_deg(latitude_deg, longitude_deg, _known(height_m))
 
     def geodetic(self) -> Array:
         """Rows of latitude, longitude, height; rad, rad, m."""
         geodetic = self.rows(_PLACE)
         geodetic[:, :2] = np.radians(geodetic[:, :2])
         return geodetic
+
+
+def _known(height_m: float) -> float:
+    return 0.0 if math.isnan(height_m) else height_m
 
 
 def _states(messages: _Messages, level: LocalLevel) -> StateSeries:
@@ -207,10 +211,13 @@ def _fixes(messages: _Messages, level: LocalLevel) -> FixSeries:
     # A receiver that gives no velocity leaves speed and course 0.
     moves = ~np.isnan(messages["vel_n_mps"]) | (messages["speed_mps"] != 0.0)
     course_deg = np.where(moves, messages["course_deg"], math.nan)
+    geodetic = messages.geodetic()
+    untold = np.isnan(geodetic[:, 2])  # the place in the plane is right at any height nearby
+    geodetic[untold, 2] = level.height_m
     return FixSeries(
         stamp_ns=messages.stamp_ns,
         valid=messages["valid"] & ~messages["invalid_llh"],
-        p_l=level.from_geodetic(messages.geodetic()),
+        p_l=level.from_geodetic(geodetic),
         speed_mps=np.where(moves, messages["speed_mps"], math.nan),
         course_yaw_rad=wrapped_rad(np.radians(90.0 - course_deg)),
     )

@@ -62,7 +62,7 @@ from tramstream.errors import ConfigError
 from tramstream.events.kinds import Event
 from tramstream.keys import Key
 from tramstream.processor import Ledger, Processor, Sample
-from tramstream.proto.gnss_pb2 import GnssCovariance, GnssFix, UbxFrame
+from tramstream.proto.gnss_pb2 import GnssCovariance, GnssFix, GnssInterference, UbxFrame
 from tramstream.proto.raw_pb2 import RawBytes
 
 _RANKS = {"HNR-PVT": HIGH_RATE, "NAV-PVT": NAVIGATION, "NAV-PVAT": NAVIGATION}
@@ -200,7 +200,7 @@ class GnssBridge(Processor):
             return out  # the same position as in the fix
         key, build = made
         built = build(message, gps_ns)
-        if key == keys.GNSS_INTERFERENCE and not memory.interference.take(built, arrival_ns):
+        if isinstance(built, GnssInterference) and not memory.interference.take(built, arrival_ns):
             return out
         sample = self.emit(key, built, self._stamp(key, gps_ns, arrival_ns))
         if name == "NAV-COV":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from statistics import median
 
 from tramstream.bridges.gnss import ubx
@@ -17,6 +17,8 @@ JUMP_BACK_S = 2
 _PAUSE_S = 60
 """Epochs without a date that lie further apart may be of different days."""
 _DAY_NS = 86_400 * S
+_LONGEST_PAUSE_NS = 10 * 365 * _DAY_NS
+"""No capture pauses for longer; half of the 1024 weeks by which a receiver can be wrong."""
 
 
 def unix_like_ns(gps_time_ns: int) -> int:
@@ -27,8 +29,9 @@ def unix_like_ns(gps_time_ns: int) -> int:
 def read_times(data: bytes) -> list[tuple[int, int]]:
     """When the pieces of a capture may have come, on the vehicle clock of an import.
 
-    They keep the order of the file: where the receiver's time steps back, arrivals go on as
-    between the epochs before.
+    They keep the order of the file. Where the receiver's clock jumps (back, or by years ahead, as
+    one does that begins in 1980 and then finds the date) arrivals go on as between the epochs
+    before; what is on the other side of the jump is moved to the latest time that is told.
 
     Returns
     -------
@@ -36,16 +39,16 @@ def read_times(data: bytes) -> list[tuple[int, int]]:
         Place in `data` just behind a frame, and the arrival of what ends there, ns.
     """
     times = epoch_times(data)
+    if not times:
+        return []
     steps = [after - before for (_, before), (_, after) in pairwise(times)]
     likely = [step for step in steps if 0 < step <= _PAUSE_S * S]
     usual_ns = round(median(likely)) if likely else S
-    moved_ns, out = 0, []
-    for at, (end, gps_ns) in enumerate(times):
-        step = steps[at - 1] if at else 0
-        if step < 0:
-            moved_ns += usual_ns - step
-        out.append((end, unix_like_ns(gps_ns) + moved_ns))
-    return out
+    paced = [step if 0 <= step <= _LONGEST_PAUSE_NS else usual_ns for step in steps]
+    since = list(accumulate(paced, initial=0))
+    latest = max(range(len(times)), key=lambda at: times[at][1])
+    begin_ns = unix_like_ns(times[latest][1]) - since[latest]
+    return [(end, begin_ns + gone) for (end, _), gone in zip(times, since, strict=True)]
 
 
 def epoch_times(data: bytes) -> list[tuple[int, int]]:

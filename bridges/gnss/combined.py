@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tramstream.bridges.gnss.epochs import EndOfEpoch
-from tramstream.bridges.gnss.messages import MILLI, judge, utc_of
+from tramstream.bridges.gnss.messages import MILLI, fix_type_of, judge, utc_of
 from tramstream.bridges.gnss.nmea import VERTICAL_PER_HORIZONTAL
 from tramstream.bridges.gnss.ubx import UbxMessage
 from tramstream.geodesy import geodetic_from_ecef
@@ -135,8 +135,7 @@ def fix_of(of: Combination, max_accuracy_m: float) -> GnssFix:
     fix.horizontal_std_m, fix.vertical_std_m = _deviations(of)
     _add_velocity(fix, of)
     if of.is_judged:
-        known = of.gps_fix <= GnssFix.TIME_ONLY
-        fix.fix_type = GnssFix.FixType.values()[of.gps_fix] if known else GnssFix.NO_FIX
+        fix.fix_type = fix_type_of(of.gps_fix)
         judge(fix, bool(of.flags & 1), max_accuracy_m)
     else:
         fix.fix_type = GnssFix.FIX_3D

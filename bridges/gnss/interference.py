@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tramstream.bridges.gnss.events import JAMMED, SPOOFED
+from tramstream.bridges.gnss.state_messages import JAMMING_STATES, SPOOFING_STATES
 from tramstream.clock import S
 from tramstream.events.kinds import Event
 from tramstream.proto.gnss_pb2 import (
@@ -53,8 +54,8 @@ class Interference:
         fresh = self._fresh(arrival_ns).values()
         jamming = max((each.jamming for each in fresh), default=JAMMING_UNKNOWN)
         spoofing = max((each.spoofing for each in fresh), default=SPOOFING_UNKNOWN)
-        fix.jamming = JammingState.values()[jamming]
-        fix.spoofing = SpoofingState.values()[spoofing]
+        fix.jamming = JAMMING_STATES[jamming]
+        fix.spoofing = SPOOFING_STATES[spoofing]
 
     def troubles(self, arrival_ns: int) -> list[Event]:
         """What is wrong now in the receiver's own words, the worst first."""

@@ -31,6 +31,10 @@ UNKNOWN_HEIGHT_M2 = 1e6
 
 _CORRECTION_AGES_S = (0, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, 120, 120, 120, 120)
 """NAV-PVT's classes of the corrections' age, by their upper end; the last is "120 s and more"."""
+_FIX_TYPES = (
+    GnssFix.NO_FIX, GnssFix.DEAD_RECKONING, GnssFix.FIX_2D, GnssFix.FIX_3D,
+    GnssFix.GNSS_AND_DEAD_RECKONING, GnssFix.TIME_ONLY,
+)  # fmt: skip
 _USABLE = (GnssFix.FIX_2D, GnssFix.FIX_3D, GnssFix.GNSS_AND_DEAD_RECKONING)
 _CARRIERS = (GnssFix.NONE, GnssFix.FLOAT, GnssFix.FIXED, GnssFix.NONE)
 
@@ -51,7 +55,7 @@ def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> 
         source=message.name,
         itow_ms=f["iTOW"],
         gps_time_ns=gps_time_ns,
-        fix_type=fix_type if fix_type <= GnssFix.TIME_ONLY else GnssFix.NO_FIX,
+        fix_type=fix_type_of(fix_type),
         differential=bool(flags & 2),
         latitude_deg=f["lat"],
         longitude_deg=f["lon"],
@@ -71,6 +75,11 @@ def fix(message: UbxMessage, gps_time_ns: int | None, max_accuracy_m: float) -> 
         _add_navigation(out, message)
     judge(out, bool(flags & 1), max_accuracy_m)
     return out
+
+
+def fix_type_of(told: int) -> GnssFix.FixType:
+    """Fix type as UBX numbers it; what it does not know is none."""
+    return _FIX_TYPES[told] if told < len(_FIX_TYPES) else GnssFix.NO_FIX
 
 
 def judge(of: GnssFix, fix_ok: bool, max_accuracy_m: float) -> None:

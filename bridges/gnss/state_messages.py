@@ -9,6 +9,13 @@ from __future__ import annotations
 from tramstream.bridges.gnss.messages import MILLI, carrier_of
 from tramstream.bridges.gnss.ubx import UbxMessage
 from tramstream.proto.gnss_pb2 import (
+    JAMMING_CRITICAL,
+    JAMMING_OK,
+    JAMMING_UNKNOWN,
+    JAMMING_WARNING,
+    SPOOFING_AFFIRMED,
+    SPOOFING_INDICATED,
+    SPOOFING_NONE,
     SPOOFING_UNKNOWN,
     GnssBaseline,
     GnssCorrection,
@@ -17,8 +24,6 @@ from tramstream.proto.gnss_pb2 import (
     GnssOscillator,
     GnssProtection,
     GnssSpectrum,
-    JammingState,
-    SpoofingState,
 )
 
 _FULL_GAIN = 8191.0
@@ -28,8 +33,17 @@ _CENTI = _PERCENT = 100.0
 _AXES = (1, 2, 3)
 
 
-_JAMMING = tuple(JammingState.values())
-_SPOOFING = tuple(SpoofingState.values())
+JAMMING_STATES = (JAMMING_UNKNOWN, JAMMING_OK, JAMMING_WARNING, JAMMING_CRITICAL)
+SPOOFING_STATES = (SPOOFING_UNKNOWN, SPOOFING_NONE, SPOOFING_INDICATED, SPOOFING_AFFIRMED)
+"""By the numbers that the messages have for them."""
+_FRAMES = (
+    GnssProtection.NO_FRAME, GnssProtection.NORTH_EAST_DOWN, GnssProtection.ALONG_ACROSS_UP,
+    GnssProtection.MAJOR_MINOR_UP,
+)  # fmt: skip
+_USES = (
+    GnssCorrection.USE_UNKNOWN, GnssCorrection.NOT_USED, GnssCorrection.USED,
+    GnssCorrection.USE_UNKNOWN,
+)  # fmt: skip
 
 
 def radio(message: UbxMessage, _: int | None) -> GnssInterference:
@@ -40,18 +54,18 @@ def radio(message: UbxMessage, _: int | None) -> GnssInterference:
         _s,
     ) in message.records:  # fmt: skip
         out.parts.add(
-            id=block, jamming=_JAMMING[flags & 3], noise=noise, gain=gain / _FULL_GAIN,
+            id=block, jamming=JAMMING_STATES[flags & 3], noise=noise, gain=gain / _FULL_GAIN,
             jamming_indicator=indicator, antenna_status=antenna, antenna_power=power,
             offset_i=ofs_i, magnitude_i=mag_i, offset_q=ofs_q, magnitude_q=mag_q,
         )  # fmt: skip
-        out.jamming = max(out.jamming, _JAMMING[flags & 3])
+        out.jamming = max(out.jamming, JAMMING_STATES[flags & 3])
     return out
 
 
 def hardware(message: UbxMessage, _: int | None) -> GnssInterference:
     """MON-HW, of receivers with one band."""
     f = message.fields
-    jamming = _JAMMING[f["flags"] >> 2 & 3]
+    jamming = JAMMING_STATES[f["flags"] >> 2 & 3]
     out = GnssInterference(source=message.name, jamming=jamming)
     out.parts.add(
         jamming=jamming, noise=f["noisePerMS"], gain=f["agcCnt"] / _FULL_GAIN,
@@ -71,9 +85,9 @@ def signal_security(message: UbxMessage, _: int | None) -> GnssInterference:
         source=message.name, jamming_detection=bool(jam & 1), spoofing_detection=bool(spoof & 1)
     )
     if jam & 1:
-        out.jamming = _JAMMING[jam >> 1 & 3]
+        out.jamming = JAMMING_STATES[jam >> 1 & 3]
     if spoof & 1:
-        out.spoofing = _SPOOFING[min(spoof >> 1 & 7, len(_SPOOFING) - 1)]
+        out.spoofing = SPOOFING_STATES[min(spoof >> 1 & 7, len(SPOOFING_STATES) - 1)]
     for (carrier,) in message.records:
         out.carriers.add(frequency_hz=(carrier & 0xFFFFFF) * 1e3, jammed=bool(carrier >> 24 & 1))
     return out
@@ -81,7 +95,7 @@ def signal_security(message: UbxMessage, _: int | None) -> GnssInterference:
 
 def status(message: UbxMessage, _: int | None) -> GnssInterference:
     """NAV-STATUS: what it says of spoofing, since u-blox 8."""
-    state = _SPOOFING[message.fields["flags2"] >> 3 & 3]
+    state = SPOOFING_STATES[message.fields["flags2"] >> 3 & 3]
     detection = None if state == SPOOFING_UNKNOWN else True
     return GnssInterference(source=message.name, spoofing=state, spoofing_detection=detection)
 
@@ -89,23 +103,25 @@ def status(message: UbxMessage, _: int | None) -> GnssInterference:
 def protection(message: UbxMessage, _: int | None) -> GnssProtection:
     """NAV-PL: position, velocity and time, each with its own validity."""
     f = message.fields
-    frames = GnssProtection.Frame.values()
-    position, velocity = (f[f"pl{what}Frame"] for what in ("Pos", "Vel"))
     return GnssProtection(
         itow_ms=f["iTOW"],
         integrity_risk=f["tmirCoeff"] * 10.0 ** f["tmirExp"] / _PERCENT,
         position_valid=f["plPosValid"] == 1,
         position_reason=f["plPosInvalidityReason"],
-        position_frame=frames[position] if position < len(frames) else frames[0],
+        position_frame=_frame(f["plPosFrame"]),
         position_m=[f[f"plPos{axis}"] / MILLI for axis in _AXES],
         position_orient_deg=f["plPosHorizOrient"],
         velocity_valid=f["plVelValid"] == 1,
-        velocity_frame=frames[velocity] if velocity < len(frames) else frames[0],
+        velocity_frame=_frame(f["plVelFrame"]),
         velocity_mps=[f[f"plVel{axis}"] / MILLI for axis in _AXES],
         velocity_orient_deg=f["plVelHorizOrient"],
         time_valid=f["plTimeValid"] == 1,
         time_ns=f["plTime"],
     )
+
+
+def _frame(told: int) -> GnssProtection.Frame:
+    return _FRAMES[told] if told < len(_FRAMES) else GnssProtection.NO_FRAME
 
 
 def baseline(message: UbxMessage, _: int | None) -> GnssBaseline:
@@ -160,12 +176,10 @@ def spectrum(message: UbxMessage, _: int | None) -> GnssSpectrum:
 def rtcm_input(message: UbxMessage, _: int | None) -> GnssCorrection:
     """RXM-RTCM."""
     f = message.fields
-    uses = GnssCorrection.Use.values()
-    use = f["flags"] >> 1 & 3
     return GnssCorrection(
         source=message.name, protocol=_RTCM3, message_type=f["msgType"],
         message_subtype=f["subType"], station=f["refStation"], damaged=bool(f["flags"] & 1),
-        use=uses[use] if use < len(uses) else uses[0],
+        use=_USES[f["flags"] >> 1 & 3],
     )  # fmt: skip
 
 
@@ -173,11 +187,9 @@ def correction_input(message: UbxMessage, _: int | None) -> GnssCorrection:
     """RXM-COR, which tells of all protocols; error status 2 is a correction with errors."""
     f = message.fields
     told = f["statusInfo"]
-    uses = GnssCorrection.Use.values()
-    use = told >> 7 & 3
     out = GnssCorrection(
         source=message.name, protocol=told & 31, station=told >> 9 & 0xFFFF,
-        damaged=told >> 5 & 3 == 2, use=uses[use] if use < len(uses) else uses[0],
+        damaged=told >> 5 & 3 == 2, use=_USES[told >> 7 & 3],
         ebno_db=f["ebno"],
     )  # fmt: skip
     if told >> 25 & 1:

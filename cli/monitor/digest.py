@@ -61,7 +61,8 @@ def _fix(message: Any) -> str:
 
 
 def _location(message: Any) -> str:
-    return f"{message.latitude:.6f}° {message.longitude:.6f}°  {message.altitude:.1f} m"
+    height = "" if math.isnan(message.altitude) else f"  {message.altitude:.1f} m"
+    return f"{message.latitude:.6f}° {message.longitude:.6f}°{height}"
 
 
 def _covariance(message: Any) -> str:

@@ -217,6 +217,12 @@ def listening_lasts(monkeypatch, counted) -> None:
             lambda number: b"\x00\x81" * 50,
             lambda message: 0.0 if message is None else 0.1,
             State.WARNING,
+            "another bit rate than 460800",
+        ),
+        (
+            lambda number: b"\x00\x81" if number % 25 == 0 else b"",
+            lambda message: 3.0 if message is not None else 0.0,
+            State.WARNING,
             "nothing that gnss understands",
         ),
         (

@@ -13,9 +13,10 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Imu, Vehicle
 from tramstream.errors import DeviceError
+from tramstream.events.kinds import Event
 from tramstream.events.messages import facts_of
 from tramstream.live import snapshots
-from tramstream.live.events import NOT_USED, UNDECODABLE
+from tramstream.live.events import NOT_USED, PORT_FAILED, UNDECODABLE
 from tramstream.live.host import Memory, ProcessorNode
 from tramstream.processor import Processor, Sample, State
 from tramstream.processors.distance.processor import DistanceFilter
@@ -421,6 +422,25 @@ def test_device_that_is_lost_and_back_is_told_in_health(world: World) -> None:
     assert last.samples_lost == 3
     assert last.rejected_by_reason == {"checksum": 2}
     assert not last.HasField("clock_skew_ppm")
+
+
+class Complainer(Decoder):
+    """A bridge that understands nothing of what comes."""
+
+    def device_troubles(self) -> list[Event]:
+        return [PORT_FAILED(device="/dev/fake", error="all bytes are garbage")]
+
+
+def test_what_a_bridge_finds_wrong_with_its_device_is_told_in_health(world: World) -> None:
+    stop = Impatient()
+    port = FakePort([raw(b"a"), raw(b"b")], stop)
+    ProcessorNode("imu", VEHICLE, world.bus, stop, [Complainer()], [port]).run()
+    device, heartbeat = world.ear.heard(keys.DEVICE)[-1], world.ear.heard(keys.HEARTBEAT)[-1]
+    assert device.state == DeviceHealth.OPEN
+    assert device.trouble.kind == PORT_FAILED.name
+    assert "all bytes are garbage" in device.text
+    assert [trouble.kind for trouble in heartbeat.troubles] == [PORT_FAILED.name]
+    assert heartbeat.state == NodeHealth.DEGRADED
 
 
 def test_lost_device_makes_the_node_degraded_with_its_sentence(world: World) -> None:

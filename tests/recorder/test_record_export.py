@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 
 import pytest
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
@@ -15,6 +16,7 @@ from tramstream.cli.info import info
 from tramstream.cli.recover import recover
 from tramstream.clock import S
 from tramstream.errors import DamagedRecordError, RecordError
+from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.recorder.csv_tables import export_csv
@@ -155,6 +157,20 @@ def test_track_ends_its_line_where_positions_are_missing(tmp_path):
     assert features[2]["properties"]["stamp_ns"] == START_NS
     assert features[2]["properties"]["horizontal_std_m"] == pytest.approx(13**0.5)
     assert features[2]["properties"]["vertical_std_m"] == 4.0
+
+
+@pytest.mark.parametrize("key", [keys.GNSS_LOCATION, keys.GNSS_FIX], ids=lambda key: key.path)
+def test_position_without_a_height_has_two_coordinates(tmp_path, key):
+    if key is keys.GNSS_LOCATION:
+        fix = LocationFix(latitude=50.0, longitude=14.4, altitude=math.nan)
+        fix.timestamp.FromNanoseconds(START_NS)
+    else:
+        fix = GnssFix(stamp_ns=START_NS, latitude_deg=50.0, longitude_deg=14.4, valid=True)
+    with RecordFile(tmp_path / "a.mcap", VEHICLE) as record:
+        put(record, key, fix, START_NS, 1)
+    with open_record(tmp_path / "a.mcap") as record:
+        (point,) = geojson(record)["features"]
+    assert point["geometry"]["coordinates"] == [14.4, 50.0]
 
 
 def test_track_of_raw_fixes_where_nothing_else_is(tmp_path, capsys):

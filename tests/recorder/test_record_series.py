@@ -130,6 +130,21 @@ def test_fix_is_valid_only_with_a_position_and_its_course_becomes_a_yaw(tmp_path
     np.testing.assert_allclose(np.degrees(found.course_yaw_rad), [90.0, 0.0, -110.0])
 
 
+def test_fix_without_a_height_is_at_its_place_in_the_plane(tmp_path):
+    fixes = [
+        GnssFix(stamp_ns=START_NS + n, latitude_deg=50.0 + 1e-4 * n, longitude_deg=14.0, valid=True)
+        for n in range(3)
+    ]
+    told = read(tmp_path / "a.mcap", [(keys.GNSS_FIX, each) for each in fixes], fixes=True).fixes
+    assert np.isfinite(told.p_l).all()
+    for each in fixes:
+        each.height_ellipsoid_m = 250.0
+    known = read(
+        tmp_path / "b.mcap", [(keys.GNSS_FIX, each) for each in fixes], fixes=True, level=LEVEL
+    ).fixes
+    np.testing.assert_allclose(told.p_l[:, :2], known.p_l[:, :2], atol=2 * MM)
+
+
 def test_only_what_is_asked_for_is_read_and_the_level_is_kept(tmp_path):
     messages = [
         (keys.EST_STATE, state(START_NS)),

@@ -729,3 +729,185 @@ def test_epoch_times_of_captures_go_forward_in_order(data_dir: Path, name: str) 
     assert ends[-1] <= len(data)
     assert gps == sorted(gps)
     assert gps[-1] - gps[0] < 3600 * S
+
+
+# What is not believed ----------------------------------------------------------------------------
+
+
+def test_place_at_zero_zero_is_none() -> None:
+    for name in ("NAV-PVT", "NAV-PVAT", "HNR-PVT"):
+        data = solution(START_NS, name, lat=0.0, lon=0.0)
+        (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+        assert sample.message.invalid_llh
+        assert not sample.message.valid
+    (sample,) = on(
+        GnssBridge(VEHICLE).step(raw(solution(START_NS, lat=0.0, lon=1e-7), BOOT_NS)), keys.GNSS_FIX
+    )
+    assert sample.message.valid
+
+
+def covariance_of(**changes: float) -> bytes:
+    fields = {f"{what}Cov{axes}": 1.0 for what in ("pos", "vel") for axes in ("NN", "EE", "DD")}
+    fields |= {"iTOW": START_NS % WEEK_NS // MS, "posCovValid": 1, "velCovValid": 1}
+    return ubx.encode("NAV-COV", fields | changes)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, -1.0, 0.0])
+@pytest.mark.parametrize("axes", ["NN", "EE", "DD"])
+def test_variance_that_cannot_be_makes_no_covariance(axes: str, wrong: float) -> None:
+    data = covariance_of(**{f"posCov{axes}": wrong}) + solution(START_NS)
+    out = GnssBridge(VEHICLE).step(raw(data, BOOT_NS))
+    (covariance,), (location,) = on(out, keys.GNSS_COVARIANCE), on(out, keys.GNSS_LOCATION)
+    assert (covariance.message.position_valid, covariance.message.velocity_valid) == (False, True)
+    assert np.isfinite(covariance.message.position_m2).all()
+    assert location.message.position_covariance_type == LocationFix.DIAGONAL_KNOWN
+    assert np.isfinite(location.message.position_covariance).all()
+    assert location.message.position_covariance[0] == pytest.approx(0.9**2 / 2)
+
+
+@pytest.mark.parametrize("correlation", [np.nan, np.inf, 1.5, -1.01])
+@pytest.mark.parametrize("axes", ["NE", "ND", "ED"])
+def test_correlation_beyond_one_makes_no_covariance(axes: str, correlation: float) -> None:
+    data = covariance_of(**{f"posCov{axes}": correlation}) + solution(START_NS)
+    out = GnssBridge(VEHICLE).step(raw(data, BOOT_NS))
+    (location,) = on(out, keys.GNSS_LOCATION)
+    assert location.message.position_covariance_type == LocationFix.DIAGONAL_KNOWN
+
+
+@pytest.mark.parametrize("name", ["NAV-PVT", "NAV-PVAT"])
+def test_solution_that_comes_twice_an_epoch_is_one_fix(name: str) -> None:
+    reads = [
+        (2 * solution(START_NS + k * S // 5, name, hAcc=900 + k), BOOT_NS + k * S // 5)
+        for k in range(10)
+    ]
+    fixes = on(step_all(GnssBridge(VEHICLE), reads), keys.GNSS_FIX)
+    assert [fix.message.itow_ms for fix in fixes] == [
+        (START_NS + k * S // 5) % WEEK_NS // MS for k in range(10)
+    ]
+    assert len({fix.stamp_ns for fix in fixes}) == 10
+
+
+def test_time_of_week_that_stands_still_hides_no_fix() -> None:
+    """A receiver that knows no time sends the same one; the same bytes tell the same again."""
+    bridge = GnssBridge(VEHICLE)
+    reads = [solution(START_NS, iTOW=0, valid=0, hAcc=900 + k // 2) for k in range(6)]
+    out = [s for k, data in enumerate(reads) for s in bridge.step(raw(data, BOOT_NS + k * S))]
+    assert [round(1000 * s.message.horizontal_std_m) for s in on(out, keys.GNSS_FIX)] == [
+        900, 901, 902,
+    ]  # fmt: skip
+
+
+def test_same_time_of_week_a_week_later_is_another_epoch() -> None:
+    reads = [(solution(START_NS + k * WEEK_NS), BOOT_NS + k * WEEK_NS) for k in range(3)]
+    assert len(on(step_all(GnssBridge(VEHICLE), reads), keys.GNSS_FIX)) == 3
+
+
+@pytest.mark.parametrize("year", [1980, 1994])
+def test_date_before_gps_was_complete_is_no_time(year: int) -> None:
+    data = solution(START_NS, year=year, month=1, day=6, hour=0, min=0, sec=12)
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+    assert sample.message.utc_ns == 0
+    assert not sample.message.HasField("gps_time_ns")
+
+
+ROLLOVER_NS = 1024 * WEEK_NS
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_week_that_has_overflown_is_known_by_the_leap_seconds(times: int) -> None:
+    behind_ns = START_NS - times * ROLLOVER_NS
+    if times == 2:  # 1984: no date at all
+        assert behind_ns < 15 * 365 * 86_400 * S
+    bridge = GnssBridge(VEHICLE)
+    leap = {"iTOW": 1000, "currLs": LEAP_S, "valid": 1}
+    bridge.step(raw(ubx.encode("NAV-TIMELS", leap), BOOT_NS))
+    (sample,) = on(bridge.step(raw(solution(behind_ns), BOOT_NS)), keys.GNSS_FIX)
+    if times == 1:
+        assert sample.message.gps_time_ns == START_NS
+        assert sample.message.utc_ns == START_NS + (GPS_EPOCH_UNIX_S - LEAP_S) * S
+    else:
+        assert not sample.message.HasField("gps_time_ns")
+
+
+def test_week_that_has_overflown_is_known_by_a_clock_that_knows_the_year() -> None:
+    now_ns = START_NS + GPS_EPOCH_UNIX_S * S
+    texts = (
+        "RMC,{t},A,5000.0,N,01400.0,E,0.0,,{d},,,A",
+        "GGA,{t},5000.0,N,01400.0,E,1,12,1.0,2.0,M,4.0,M,,",
+    )
+    for arrival_ns, behind in ((now_ns, 0), (5 * S, ROLLOVER_NS)):  # of one that nobody has set
+        (sample,) = on(
+            GnssBridge(VEHICLE).step(raw(solution(START_NS - ROLLOVER_NS), arrival_ns)),
+            keys.GNSS_FIX,
+        )
+        assert sample.message.gps_time_ns == START_NS - behind
+        utc = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(
+            seconds=(START_NS - ROLLOVER_NS) // S - LEAP_S
+        )
+        time, date = utc.strftime("%H%M%S.00"), utc.strftime("%d%m%y")
+        data = b"".join(nmea_frame("GN" + text.format(t=time, d=date)) for text in texts)
+        bridge = GnssBridge(VEHICLE)
+        out = bridge.step(raw(data, arrival_ns)) + bridge.finish()
+        (sample,) = on(out, keys.GNSS_FIX)
+        assert sample.message.utc_ns == START_NS - behind + (GPS_EPOCH_UNIX_S - LEAP_S) * S
+
+
+def test_leap_second_more_is_news_and_no_rollover() -> None:
+    bridge = GnssBridge(VEHICLE)
+    leap = {"iTOW": 1000, "currLs": LEAP_S, "valid": 1}
+    bridge.step(raw(ubx.encode("NAV-TIMELS", leap), BOOT_NS))
+    before_ns = utc_ns(2016, 12, 1, 0, 0, 0, 0) - GPS_EPOCH_UNIX_S * S  # 17 s then
+    (sample,) = on(bridge.step(raw(solution(before_ns), BOOT_NS)), keys.GNSS_FIX)
+    assert sample.message.gps_time_ns == before_ns
+
+
+def test_age_of_corrections_is_told_by_its_class() -> None:
+    for told, age_s in ((0, None), (1, 1.0), (5, 15.0), (12, 120.0), (15, 120.0)):
+        data = solution(START_NS, flags3=told << 1)
+        (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+        known = sample.message.HasField("correction_age_s")
+        assert (sample.message.correction_age_s if known else None) == age_s
+
+
+def test_navigation_of_u_blox_7_is_a_fix_as_any() -> None:
+    data = solution(START_NS, "NAV-PVT u-blox 7", flags3=1, flags=0x21)  # bits reserved there
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(data, BOOT_NS)), keys.GNSS_FIX)
+    fix = sample.message
+    assert (fix.source, fix.valid, fix.latitude_deg) == ("NAV-PVT", True, 50.0870001)
+    assert (fix.vel_n_mps, fix.gps_time_ns) == (4.0, START_NS)
+    assert not fix.HasField("heading_vehicle_deg")
+
+
+# The end of a file --------------------------------------------------------------------------------
+
+
+def test_end_of_the_bytes_gives_what_was_held_and_leaves_nothing() -> None:
+    header = b"\xb5\x62\x02\x15" + (8176).to_bytes(2, "little") + bytes(11) + b"\xff" + bytes(4)
+    bridge = GnssBridge(VEHICLE)
+    held = b"".join(solution(START_NS + k * S // 5) for k in range(20))
+    out = bridge.step(raw(solution(START_NS - S) + header + held, BOOT_NS))
+    assert len(on(out, keys.GNSS_FIX)) == 1
+    out = bridge.finish()
+    assert len(on(out, keys.GNSS_FIX)) == 20
+    for ledger in bridge.ledgers():
+        assert ledger.balanced
+        assert ledger.pending == 0
+    assert bridge.device_counters()["bytes_rejected"] == len(header)
+    assert bridge.finish() == []
+
+
+@pytest.mark.parametrize("end", [b"", b"\r", b"\r\n"])
+def test_last_epoch_is_given_though_it_is_shorter_than_the_one_before(end: bytes) -> None:
+    def epoch(second: int, *, whole: bool) -> bytes:
+        texts = [
+            f"GNRMC,12000{second}.00,A,5004.5,N,01426.2,E,3.60,90.00,040124,,,A,V",
+            f"GNGGA,12000{second}.00,5004.5,N,01426.2,E,1,09,1.1,200.0,M,45.0,M,,",
+        ]
+        texts += ["GNGSA,A,3,01,02,03,04,05,06,,,,,,,1.8,1.1,1.4,1"] if whole else []
+        return b"".join(map(nmea_frame, texts))
+
+    data = b"".join(epoch(k, whole=k % 3 == 0) for k in range(8)).rstrip() + end
+    bridge = GnssBridge(VEHICLE)
+    out = bridge.step(raw(data, BOOT_NS)) + bridge.finish()
+    assert [fix.message.utc_ns // S % 60 for fix in on(out, keys.GNSS_FIX)] == list(range(8))
+    assert all(ledger.pending == 0 for ledger in bridge.ledgers())

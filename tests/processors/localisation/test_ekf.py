@@ -19,8 +19,10 @@ from test_tram_start import copies, plain
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.estimation.events import (
+    FIX_JAMMED,
     FIX_NO_NUMBER,
     FIX_NOWHERE,
+    FIX_SPOOFED,
     FIX_TOO_FAR,
     FIX_TOO_HIGH,
     FIX_TOO_POOR,
@@ -39,7 +41,7 @@ from tramstream.processors.tram_filter.events import (
     NO_WHEELS,
     TIME_BACKWARDS,
 )
-from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.gnss_pb2 import JAMMING_CRITICAL, SPOOFING_INDICATED, GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
@@ -146,6 +148,8 @@ BAD: dict[str, tuple[dict[str, float], Kind]] = {
     "accuracy 0": ({"horizontal_std_m": 0.0}, ACCURACY_UNSTATED),
     "accuracy negative": ({"horizontal_std_m": -1.0}, ACCURACY_UNSTATED),
     "accuracy 1e9": ({"horizontal_std_m": 1e9}, FIX_TOO_POOR),
+    "spoofed": ({"spoofing": SPOOFING_INDICATED}, FIX_SPOOFED),
+    "jammed": ({"jamming": JAMMING_CRITICAL}, FIX_JAMMED),
     "other hemisphere": ({"latitude_deg": -33.9, "longitude_deg": 151.2}, FIX_TOO_FAR),
 }
 

@@ -43,7 +43,8 @@ def test_deviation_of_an_axis_is_that_of_the_distance_over_root_two(
 
 
 def test_deviations_of_latitude_and_longitude_come_back_as_those_of_the_axes() -> None:
-    epoch = Epoch(0, 0, 0, 0, quality=1, latitude_deg=50.0, longitude_deg=14.0, altitude_m=200.0)
+    epoch = Epoch(0, 0, 0, 0, quality=1, latitude_deg=50.0, longitude_deg=14.0)
+    epoch.altitude_m, epoch.separation_m = 200.0, 45.0
     epoch.std_m = [3.0, 3.0, 5.0]
     assert deviations(fix_of(epoch, 100.0), FLOOR_M) == pytest.approx((3.0, 5.0))
 
@@ -167,6 +168,22 @@ def test_height_of_a_first_fix_that_was_far_away_does_not_stay() -> None:
     errors = localised(ride, frames).within(40.0, 60.0)
     assert errors.horizontal_m.max() < 5.0
     assert np.abs(errors.p_l[:, 2]).max() < 8.0
+
+
+def test_fixes_without_a_height_say_nothing_of_it_and_place_the_vehicle_as_well() -> None:
+    """A receiver that tells only the height above the sea, 45 m off; every fix is such."""
+    ride = ridden(laid(PLAN), city(), 2, 60.0)
+    frames = []
+    for each in ride.frames:
+        frame = SyncFrame()
+        frame.CopyFrom(each)
+        for fix in frame.gnss:
+            fix.height_msl_m = fix.height_ellipsoid_m - 45.0
+            fix.ClearField("height_ellipsoid_m")
+        frames.append(frame)
+    told, untold = (localised(ride, each).within(40.0, 60.0) for each in (ride.frames, frames))
+    assert np.abs(untold.p_l[:, :2] - told.p_l[:, :2]).max() < 0.2
+    assert np.sqrt(untold.covariance[:, 2, 2]).min() > 100.0
 
 
 def test_receiver_that_boasts_tenfold_is_said_and_weighed() -> None:
