@@ -31,6 +31,9 @@ LONG_NS = 3600 * S
 """A few frames at the log's beginning or end that are further away than this have odd stamps."""
 FEW = 10
 """A log of fewer frames does not tell what is odd at its ends."""
+OTHER_DBC = (
+    "is it the DBC of this vehicle and of this bus, and does --wheel name signals that are on it?"
+)
 CURE = "candump -L writes a log that is read, candump -t a one that is read too"
 
 
@@ -85,7 +88,9 @@ def read(path: Path, text: str) -> CanLog:
     if not log.frames:
         reason = reasons.most_common(1)[0][0] if reasons else "there is none"
         raise ConfigError(
-            f"{path}: none of its {lines} lines is a CAN frame with a stamp ({reason})", cure=CURE
+            f"{path}: nothing in it decodes: none of its {lines} lines is a CAN frame with a stamp "
+            f"({reason})",
+            cure=CURE,
         )
     stamps = [frame.stamp_ns for frame in log.frames]
     if _are_differences(stamps):
@@ -138,8 +143,8 @@ def _put_in_order(log: CanLog, stamps: list[int]) -> None:
     kept.sort(key=lambda each: each[0])
     first_ns = kept[0][0]
     log.dated = first_ns >= GPS_EPOCH_UNIX_S * S
-    # What is no date begins a second after 1970, as an IMU's capture does: nothing lies before it.
-    leap_ns = leap_seconds_on(first_ns) * S if log.dated else S
+    # What counts from zero begins a second after 1970, as an IMU's capture: nothing lies before it.
+    leap_ns = leap_seconds_on(first_ns) * S if log.dated else S * (first_ns < S)
     log.frames = [frame._replace(stamp_ns=stamp_ns + leap_ns) for stamp_ns, frame in kept]
 
 
@@ -223,9 +228,9 @@ def buses(
     if not found:
         most = [f"{id_:X}" for (_, id_, _), _ in counts.most_common(3)]
         raise ConfigError(
-            f"{path}: none of its {len(log.frames)} frames is one that the DBC and the wheels name "
-            f"(most are {', '.join(most)})",
-            cure="is it the DBC of this vehicle, and of this bus?",
+            f"{path}: nothing in it decodes: none of its {len(log.frames)} frames is one that the "
+            f"DBC and the wheels name (most are {', '.join(most)})",
+            cure=OTHER_DBC,
         )
     for message, by_bus in found.items():
         if len(by_bus) > 1:

@@ -232,7 +232,7 @@ def test_log_of_which_no_value_is_one_is_refused(tmp_path: Path) -> None:
     )
     capture = tmp_path / "j.candump"
     capture.write_text(f"({UTC_S}.000000) can0 18FEF100#FFFFFFFFFFFFFFFF\n" * 3)
-    with pytest.raises(ConfigError, match=f"can be used .*3 {NOT_AVAILABLE[:13]}"):
+    with pytest.raises(ConfigError, match=f"none can be used .*3 {NOT_AVAILABLE[:13]}"):
         Imports(None, "", "ADIS16465-1").can(capture, path, [])
 
 
