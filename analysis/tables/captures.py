@@ -287,7 +287,8 @@ def _check_decodes(path: Path, probe: OdometerBridge, items: list[Item]) -> None
     reasons = probe.device_counters()["rejected_by_reason"]
     told = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
     raise ConfigError(
-        f"{path}: nothing in it decodes: of the frames that the DBC names none can be used ({told})",
+        f"{path}: nothing in it decodes: of the frames that the DBC names none can be used "
+        f"({told})",
         cure=can_log.OTHER_DBC,
     )
 
