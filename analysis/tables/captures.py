@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,8 @@ class Imports:
         self._model = model
         self._items: list[Item] = []
         self._bridges: dict[str, Processor] = {}
-        self.can_log: CanLog | None = None
-        """What was read of the CAN log."""
+        self.can_told: dict[str, Any] = {}
+        """What became of the CAN log."""
 
     def _use(self, vehicle: Vehicle) -> None:
         name = self._vehicle_id or vehicle.vehicle
@@ -138,11 +138,12 @@ class Imports:
             raise ConfigError("--can: the configuration has no section [odometer]; give --dbc")
         self.vehicle = msgspec.structs.replace(self.vehicle, odometer=section)
         bridge = OdometerBridge(self.vehicle)
-        log = self.can_log = can_log.read(path, _read(path).decode("ascii", "replace"))
+        log = can_log.read(path, _read(path).decode("ascii", "replace"))
         self.malformed_lines += log.malformed
         decoded, heard = can_log.buses(path, log, bridge.wants, bus)
         log.unheard = sorted({wheel.message for wheel in section.wheels.values()} - heard)
         items = []
+        self.can_told = _told(log)
         for interface in log.interfaces:
             frames = [frame for frame in log.frames if frame.interface == interface]
             of = bridge if interface in decoded else None
@@ -150,6 +151,7 @@ class Imports:
                 message = canframe.pack(group, interface)
                 stamp_ns = message.stamp_ns
                 items.append(Item(keys.ODO_FRAMES, message, stamp_ns, stamp_ns, of))
+        log.frames.clear()
         items.sort(key=lambda item: item.arrival_ns)
         _check_decodes(path, OdometerBridge(self.vehicle), items)
         self._items += items
@@ -214,7 +216,7 @@ class Imports:
             "devices": devices,
             "malformed_lines": self.malformed_lines,
             "tables": self.tables_read,
-            "can": _told(self.can_log) if self.can_log is not None else {},
+            "can": self.can_told,
         }
 
 
@@ -295,7 +297,7 @@ def _check_decodes(path: Path, probe: OdometerBridge, items: list[Item]) -> None
 
 def _told(log: CanLog) -> dict[str, Any]:
     """What became of a CAN log."""
-    told = asdict(log)
+    told = {each.name: getattr(log, each.name) for each in fields(log)}
     return {**told, "frames": len(log.frames), "interfaces": log.interfaces}
 
 
