@@ -126,7 +126,8 @@ class Imports:
     def can(self, path: Path, dbc: Path | None, wheels: list[str], bus: str = "") -> str:
         """A CAN log on its own clock; returns the wheels it decodes, for people.
 
-        `bus` is the interface to decode, where identifiers come on several.
+        `bus` is the interface to decode, where identifiers come on several; by default that of the
+        configuration, if there is one and the log has it.
         """
         section = self.vehicle.odometer
         if dbc is not None:
@@ -140,6 +141,8 @@ class Imports:
         bridge = OdometerBridge(self.vehicle)
         log = can_log.read(path, _read(path).decode("ascii", "replace"))
         self.malformed_lines += log.malformed
+        if dbc is None and section.channel in log.interfaces:
+            bus = bus or section.channel
         decoded, heard = can_log.buses(path, log, bridge.wants, bus)
         log.unheard = sorted({wheel.message for wheel in section.wheels.values()} - heard)
         items = []
