@@ -396,7 +396,9 @@ def test_frames_say_whether_somebody_stamped_them_when_they_came(pty: Pty, bus: 
     port = can_port("slcan", pty.link)
     port.open()
     pty.send(b"t0AA0\r")
-    assert all(message.read_stamps for message in until(port.read, bool))
+    messages = until(port.read, bool)
+    assert all(message.read_stamps for message in messages)
+    assert port.join(messages * 2).read_stamps
     port.close()
     port = can_port("virtual", "test_ports")
     port.open()
