@@ -8,6 +8,7 @@ record's are GPS time as Unix time.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +32,13 @@ LONG_NS = 3600 * S
 """A few frames at the log's beginning or end that are further away than this have odd stamps."""
 FEW = 10
 """A log of fewer frames does not tell what is odd at its ends."""
+OTHER_DBC = (
+    "is it the DBC of this vehicle and of this bus, and does --wheel name signals that are on it?"
+)
 CURE = "candump -L writes a log that is read, candump -t a one that is read too"
+
+
+NO_FRAME = CanFrame(0, "", 0, 0, b"")
 
 
 @dataclass
@@ -39,7 +46,7 @@ class CanLog:
     """What a log held."""
 
     frames: list[CanFrame] = field(default_factory=list)
-    """In order; on the record's clock."""
+    """In order; on the record's clock. Whoever takes them may leave none."""
     malformed: int = 0
     """Lines that are no frames."""
     first_malformed: str = ""
@@ -81,11 +88,13 @@ def read(path: Path, text: str) -> CanLog:
             log.malformed += 1
             log.first_malformed = log.first_malformed or f"line {number}: {frame.reason}"
         else:
-            log.frames.append(frame)
+            log.frames.append(frame._replace(interface=sys.intern(frame.interface)))
     if not log.frames:
         reason = reasons.most_common(1)[0][0] if reasons else "there is none"
         raise ConfigError(
-            f"{path}: none of its {lines} lines is a CAN frame with a stamp ({reason})", cure=CURE
+            f"{path}: nothing in it decodes: none of its {lines} lines is a CAN frame with a stamp "
+            f"({reason})",
+            cure=CURE,
         )
     stamps = [frame.stamp_ns for frame in log.frames]
     if _are_differences(stamps):
@@ -109,9 +118,9 @@ def _put_in_order(log: CanLog, stamps: list[int]) -> None:
     frames = log.frames
     forward = [after - before for before, after in pairwise(stamps) if after > before]
     usual_ns = median_low(forward) if forward else UNORDERED_NS
-    kept: list[tuple[int, CanFrame]] = []
+    kept: list[tuple[int, int]] = []
     shift_ns = 0
-    for place, frame in enumerate(frames):
+    for place in range(len(frames)):
         stamp_ns = stamps[place] + shift_ns
         if kept and stamp_ns < kept[-1][0] - UNORDERED_NS:
             ahead = _ahead(kept, stamp_ns)
@@ -133,17 +142,20 @@ def _put_in_order(log: CanLog, stamps: list[int]) -> None:
                 shift_ns, stamp_ns = shift_ns + back_ns, stamp_ns + back_ns
                 log.set_back += 1
                 log.set_back_s += back_ns / S
-        kept.append((stamp_ns, frame))
+        kept.append((stamp_ns, place))
     _cut_ends(log, kept)
-    kept.sort(key=lambda each: each[0])
+    kept.sort()
     first_ns = kept[0][0]
     log.dated = first_ns >= GPS_EPOCH_UNIX_S * S
-    # What is no date begins a second after 1970, as an IMU's capture does: nothing lies before it.
-    leap_ns = leap_seconds_on(first_ns) * S if log.dated else S
-    log.frames = [frame._replace(stamp_ns=stamp_ns + leap_ns) for stamp_ns, frame in kept]
+    # What counts from zero begins a second after 1970, as an IMU's capture: nothing lies before it.
+    leap_ns = leap_seconds_on(first_ns) * S if log.dated else S * (first_ns < S)
+    log.frames = []
+    for stamp_ns, place in kept:
+        log.frames.append(frames[place]._replace(stamp_ns=stamp_ns + leap_ns))
+        frames[place] = NO_FRAME  # a log may be long: not everything twice
 
 
-def _ahead(kept: list[tuple[int, CanFrame]], stamp_ns: int) -> int:
+def _ahead(kept: list[tuple[int, int]], stamp_ns: int) -> int:
     """How many frames at the end are ahead of a stamp; one more than may be odd, at most."""
     for count, (earlier_ns, _) in enumerate(reversed(kept[-MOST_ODD - 1 :])):
         if earlier_ns <= stamp_ns + UNORDERED_NS:
@@ -165,7 +177,7 @@ def _doubt(odd: int, before_ns: int | None, after_ns: int | None) -> tuple[bool,
     return odd > MOST_ODD, apart, odd
 
 
-def _cut_ends(log: CanLog, kept: list[tuple[int, CanFrame]]) -> None:
+def _cut_ends(log: CanLog, kept: list[tuple[int, int]]) -> None:
     """Leave out a few frames at either end that are far away from all others."""
     if len(kept) < FEW * MOST_ODD:
         return
@@ -223,9 +235,9 @@ def buses(
     if not found:
         most = [f"{id_:X}" for (_, id_, _), _ in counts.most_common(3)]
         raise ConfigError(
-            f"{path}: none of its {len(log.frames)} frames is one that the DBC and the wheels name "
-            f"(most are {', '.join(most)})",
-            cure="is it the DBC of this vehicle, and of this bus?",
+            f"{path}: nothing in it decodes: none of its {len(log.frames)} frames is one that the "
+            f"DBC and the wheels name (most are {', '.join(most)})",
+            cure=OTHER_DBC,
         )
     for message, by_bus in found.items():
         if len(by_bus) > 1:

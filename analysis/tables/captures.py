@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,8 @@ class Imports:
         self._model = model
         self._items: list[Item] = []
         self._bridges: dict[str, Processor] = {}
-        self.can_log: CanLog | None = None
-        """What was read of the CAN log."""
+        self.can_told: dict[str, Any] = {}
+        """What became of the CAN log."""
 
     def _use(self, vehicle: Vehicle) -> None:
         name = self._vehicle_id or vehicle.vehicle
@@ -126,7 +126,8 @@ class Imports:
     def can(self, path: Path, dbc: Path | None, wheels: list[str], bus: str = "") -> str:
         """A CAN log on its own clock; returns the wheels it decodes, for people.
 
-        `bus` is the interface to decode, where identifiers come on several.
+        `bus` is the interface to decode, where identifiers come on several; by default that of the
+        configuration, if there is one and the log has it.
         """
         section = self.vehicle.odometer
         if dbc is not None:
@@ -138,11 +139,14 @@ class Imports:
             raise ConfigError("--can: the configuration has no section [odometer]; give --dbc")
         self.vehicle = msgspec.structs.replace(self.vehicle, odometer=section)
         bridge = OdometerBridge(self.vehicle)
-        log = self.can_log = can_log.read(path, _read(path).decode("ascii", "replace"))
+        log = can_log.read(path, _read(path).decode("ascii", "replace"))
         self.malformed_lines += log.malformed
+        if dbc is None and section.channel in log.interfaces:
+            bus = bus or section.channel
         decoded, heard = can_log.buses(path, log, bridge.wants, bus)
         log.unheard = sorted({wheel.message for wheel in section.wheels.values()} - heard)
         items = []
+        self.can_told = _told(log)
         for interface in log.interfaces:
             frames = [frame for frame in log.frames if frame.interface == interface]
             of = bridge if interface in decoded else None
@@ -150,6 +154,7 @@ class Imports:
                 message = canframe.pack(group, interface)
                 stamp_ns = message.stamp_ns
                 items.append(Item(keys.ODO_FRAMES, message, stamp_ns, stamp_ns, of))
+        log.frames.clear()
         items.sort(key=lambda item: item.arrival_ns)
         _check_decodes(path, OdometerBridge(self.vehicle), items)
         self._items += items
@@ -214,7 +219,7 @@ class Imports:
             "devices": devices,
             "malformed_lines": self.malformed_lines,
             "tables": self.tables_read,
-            "can": _told(self.can_log) if self.can_log is not None else {},
+            "can": self.can_told,
         }
 
 
@@ -287,14 +292,15 @@ def _check_decodes(path: Path, probe: OdometerBridge, items: list[Item]) -> None
     reasons = probe.device_counters()["rejected_by_reason"]
     told = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
     raise ConfigError(
-        f"{path}: none of the frames that the DBC names can be used ({told or 'there is none'})",
-        cure="is it the DBC of this vehicle, and of this bus?",
+        f"{path}: nothing in it decodes: of the frames that the DBC names none can be used "
+        f"({told})",
+        cure=can_log.OTHER_DBC,
     )
 
 
 def _told(log: CanLog) -> dict[str, Any]:
     """What became of a CAN log."""
-    told = asdict(log)
+    told = {each.name: getattr(log, each.name) for each in fields(log)}
     return {**told, "frames": len(log.frames), "interfaces": log.interfaces}
 
 

@@ -260,7 +260,9 @@ class OdometerBridge(Processor):
     def _by_cycle(self, plan: _Plan, cycle: Cycle, arrival_ns: int, out: list[Sample]) -> int:
         """When a frame was sent that a reader stamped; no earlier than the last reading."""
         skipped = cycle.memory.skipped
-        stamp_ns = max(cycle.stamp(arrival_ns), self.memory.published_ns + 1)
+        stamp_ns = cycle.stamp(arrival_ns)
+        if stamp_ns <= self.memory.published_ns <= arrival_ns:
+            stamp_ns = self.memory.published_ns + 1
         self._note(NOTE_LOST, cycle.memory.skipped - skipped)
         if cycle.late_ns > LATE_NS:
             self._note(NOTE_LATE)

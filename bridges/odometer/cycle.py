@@ -15,8 +15,13 @@ line under which no arrival lies, as it does for the IMU.
    refutes the phase, as does a message after a silence: it begins anew with that arrival. So does
    one that no arrival of `WATCHED` has come near. A cycle that is refuted time and again is none.
 
-No stamp lies after its own arrival, so that a wrong fit can do no more than believe a message to be
-later than it is. Everything depends on the arrivals alone.
+4. *Pattern*: a gateway whose task runs every 10 ms sends 25 ms as 20, 30, 20, 30. So of each of
+   `CLASSES` numbers in turn the least lateness of `TALLIED` messages is noted; what none of them
+   ever falls short of is the sender's, and no lateness.
+
+A sender that is late at random cannot be told from a late reader. No stamp lies after its own
+arrival, so that a wrong fit can do no more than believe a message to be later than it is.
+Everything depends on the arrivals alone.
 """
 
 from __future__ import annotations
@@ -59,6 +64,11 @@ that were read with others."""
 REFUTED, TOO_OFTEN = 8, 40
 """A refuted phase counts so much, less one for each message that fits; from `TOO_OFTEN` on it is no
 cycle."""
+CLASSES, TALLIED = 12, 64
+"""Patterns of 2, 3, 4, 6 and 12 messages; of so many late ones of a class one is in time, to
+2 ms on a computer at load 15."""
+PATTERN_NS, PATTERN = 2_000_000, 0.05
+"""A pattern is at least so much, and so much of a period."""
 MAX_SKEW = 0.01
 """How well the first arrivals tell the period; the fit finds the rest."""
 BUCKET_S, BUCKET_PERIODS = 0.25, 8
@@ -85,6 +95,11 @@ class CycleMemory:
     nearest_ns: float = inf
     """The least lateness of those that are watched."""
     refuted: int = 0
+    tallied: int = 0
+    least: list[float] = field(default_factory=list)
+    """Of each class the least lateness since it was tallied last."""
+    pattern: list[float] = field(default_factory=list)
+    """Of each class how much after its time it is sent; empty while that is not known."""
     late: int = 0
     """Messages that were read late."""
     skipped: int = 0
@@ -133,6 +148,7 @@ class Cycle:
             self._begin(arrival_ns - round(late_ns - memory.nearest_ns))
         else:
             self._fit.add(self._device_ns(), arrival_ns)
+            late_ns -= self._tally(late_ns)
         memory.late += late_ns > LATE_NS
         self.late_ns = max(0, late_ns)
         return arrival_ns - self.late_ns
@@ -184,7 +200,8 @@ class Cycle:
         memory = self.memory
         memory.period_ns *= 1.0 + self._fit.skew
         self._fit.restart()
-        memory.number, memory.stuck, memory.watched = 0, 0, 0
+        memory.number, memory.stuck, memory.watched, memory.tallied = 0, 0, 0, 0
+        memory.least, memory.pattern = [], []
         memory.least_ns = memory.nearest_ns = inf
         self._made = None
         self._fit.add(0, arrival_ns)
@@ -216,6 +233,21 @@ class Cycle:
         memory.number += lost
         memory.skipped += lost
         return late_ns - round(lost * period_ns)
+
+    def _tally(self, late_ns: int) -> int:
+        """Note how late a message of its class is; how much of that is the sender's."""
+        memory = self.memory
+        if not memory.tallied:
+            memory.least = [inf] * CLASSES
+        place = memory.number % CLASSES
+        memory.least[place] = min(memory.least[place], late_ns)
+        memory.tallied += 1
+        own_ns = round(memory.pattern[place]) if memory.pattern else 0
+        if memory.tallied >= CLASSES * TALLIED:
+            least_ns = max(PATTERN_NS, PATTERN * memory.period_ns)
+            known = [each if least_ns <= each < inf else 0.0 for each in memory.least]
+            memory.pattern, memory.tallied = known, 0
+        return min(own_ns, max(0, late_ns))
 
     def _has_moved(self, late_ns: int) -> bool:
         """Whether no message has come near its time for long."""

@@ -232,7 +232,12 @@ class Database:
         message = self._messages[message_name]
         if not message.is_extended_frame:
             return None
-        if message.protocol == "j1939" or j1939.stands_for_any(message.frame_id):
+        told = message.protocol == "j1939" or j1939.stands_for_any(message.frame_id)
+        if told or any(
+            j1939.ends_like_a_parameter(each.maximum, each.scale, each.offset, each.length)
+            for each in message.signals
+            if not each.is_signed and not each.is_float
+        ):
             return j1939.address_of(message.frame_id)
         return None
 

@@ -22,6 +22,7 @@ WAY_UNKNOWN = define(
     "wheel {wheel}: the way of the last {gap_s} is not known, {reason}",
     cause="Frames are missing for so long that the counter may have gone round, or its ECU was "
     "started again; pulses fall by 2^36 there, and whoever reads them begins anew.",
+    cure="look for what interrupts the bus; a counter of more bits goes round less often",
     wheel=str,
     gap_s=float,
     reason=str,

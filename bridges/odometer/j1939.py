@@ -25,6 +25,8 @@ RESERVED = "reserved value (J1939)"
 _FIRST_RESERVED = 0xFB
 _ERROR_BYTE = 0xFE
 _NONE_BYTE = 0xFF
+_ROUNDED = 1e-4
+"""Of a largest value as DBCs round it: 250.996 for 250.99609375."""
 
 
 class Address(NamedTuple):
@@ -46,6 +48,18 @@ def address_of(id_: int) -> Address:
 def stands_for_any(id_: int) -> bool:
     """Whether an identifier in a DBC can only be meant for J1939: a broadcast that nobody sends."""
     return id_ & 0xFF == ANY_SOURCE and id_ >> 16 & 0xFF >= _PDU2
+
+
+def ends_like_a_parameter(largest: float | None, scale: float, offset: float, length: int) -> bool:
+    """Whether the largest value that a DBC states is that of J1939: raw FA, FAFF, FAFFFFFF.
+
+    Nobody else ends there; so a message of 29 bits tells its protocol that names none.
+    """
+    if length not in (8, 16, 32) or largest is None or not scale:
+        return False
+    raw = (largest - offset) / scale
+    last = (_FIRST_RESERVED << (length - 8)) - 1
+    return abs(raw - last) <= max(0.5, _ROUNDED * last)
 
 
 def why_no_value(bits: int, length: int) -> str:

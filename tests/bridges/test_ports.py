@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 import termios
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -29,6 +30,8 @@ from tramstream.bridges.ports import CanPort, SerialPort, gnss_port, imu_port, o
 from tramstream.clock import VehicleClock
 from tramstream.config import Gnss, Imu, Odometer, Vehicle, Wheel
 from tramstream.errors import ConfigError, DeviceError
+from tramstream.live.ports import PortReader
+from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import CanFrames, RawBytes
 
 CLOCK = VehicleClock(offset_ns=10**18)
@@ -282,6 +285,40 @@ def test_read_that_fails_is_a_device_error_and_the_line_opens_again(
     port.close()
 
 
+@pytest.mark.live
+@pytest.mark.parametrize("when", ["before", "after", "while it opens"])
+def test_device_is_read_whenever_it_is_there(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """Before its node, after it, or with its name there before it answers."""
+    got: list[RawBytes] = []
+    stop = threading.Event()
+    reader = PortReader(serial_port(pty.link), got.append, stop)
+    if when == "after":
+        pty.unplug()
+    elif when == "while it opens":
+        refusals = iter([errno.EIO, errno.EACCES, errno.ENXIO])
+        opening = serial.Serial
+
+        def coming(*settings: Any, **more: Any) -> Any:
+            number = next(refusals, None)
+            if number is not None:
+                raise serial.SerialException(number, "it is just coming")
+            return opening(*settings, **more)
+
+        monkeypatch.setattr(serial, "Serial", coming)
+    reader.start()
+    if when == "after":
+        live.until(lambda: reader.trouble is not None and "no such" in str(reader.trouble), "away")
+        pty.plug()
+    live.until(lambda: reader.opened == 1, "the device is open")
+    pty.send(b"here")
+    live.until(lambda: b"".join(each.data for each in got) == b"here", "its bytes")
+    assert reader.health() == (DeviceHealth.OPEN, None)
+    stop.set()
+    reader.join(5.0)
+
+
 # CAN over python-can ------------------------------------------------------------------------------
 
 
@@ -359,7 +396,9 @@ def test_frames_say_whether_somebody_stamped_them_when_they_came(pty: Pty, bus: 
     port = can_port("slcan", pty.link)
     port.open()
     pty.send(b"t0AA0\r")
-    assert all(message.read_stamps for message in until(port.read, bool))
+    messages = until(port.read, bool)
+    assert all(message.read_stamps for message in messages)
+    assert port.join(messages * 2).read_stamps
     port.close()
     port = can_port("virtual", "test_ports")
     port.open()

@@ -189,6 +189,25 @@ def test_two_buses_are_told_apart_in_the_record(tmp_path: Path) -> None:
     assert count == {"can0": 20, "can1": 20}
 
 
+def test_bus_is_that_of_the_configuration_where_there_is_one(tmp_path: Path) -> None:
+    path = log(tmp_path, 40, interfaces=2)
+    dbc(tmp_path, "m/s")
+    config = tmp_path / "tram.toml"
+    config.write_text(
+        'vehicle = "t"\n[odometer]\nchannel = "can1"\ndbc = "wheels.dbc"\n'
+        '[odometer.wheels.left]\nmessage = "SPEEDS"\nsignal = "WHEEL_SPEED_FL"\nkind = "speed"\n'
+    )
+    imports = Imports(config, "", "ADIS16465-1")
+    imports.can(path, None, [])
+    imports.write(tmp_path / "o.mcap")
+    with open_record(tmp_path / "o.mcap") as record:
+        readings = [
+            record.decode(each)
+            for each in record.messages(lambda topic: topic.endswith(keys.ODO_WHEELS.path))
+        ]
+    assert [each.wheels[0].speed_mps for each in readings] == pytest.approx(list(range(1, 40, 2)))
+
+
 def test_log_as_candump_shows_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "view.txt"
     path.write_text(
@@ -232,7 +251,7 @@ def test_log_of_which_no_value_is_one_is_refused(tmp_path: Path) -> None:
     )
     capture = tmp_path / "j.candump"
     capture.write_text(f"({UTC_S}.000000) can0 18FEF100#FFFFFFFFFFFFFFFF\n" * 3)
-    with pytest.raises(ConfigError, match=f"can be used .*3 {NOT_AVAILABLE[:13]}"):
+    with pytest.raises(ConfigError, match=f"none can be used .*3 {NOT_AVAILABLE[:13]}"):
         Imports(None, "", "ADIS16465-1").can(capture, path, [])
 
 

@@ -121,6 +121,18 @@ def test_sender_that_was_silent_or_started_anew_begins_a_new_phase() -> None:
     assert errors[500:].max() < 1.0
 
 
+@pytest.mark.parametrize("gaps_ms", [(20, 30), (10, 10, 20), (30, 20, 30, 20), (40, 35)])
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_pattern_of_a_sender_is_no_lateness(gaps_ms: tuple[int, ...], share: float) -> None:
+    """A gateway's task sends in its own steps; after a minute the stamps are those of sending."""
+    count = 3000
+    steps_ms = np.tile(gaps_ms, count // len(gaps_ms) + 1)[: count - 1]
+    sent = [START_NS + round(each * MS) for each in np.concatenate(([0], np.cumsum(steps_ms)))]
+    node = cycle()
+    stamps = stamped(node, Sender(seed=6).read(sent, share, 60 * MS))
+    assert np.abs(errors_ms(stamps, sent))[1800:].max() < 1.0
+
+
 def test_messages_without_a_cycle_keep_their_arrivals() -> None:
     rng = np.random.default_rng(4)
     gaps_ns = rng.exponential(30 * MS, 3000)

@@ -15,6 +15,7 @@ from tramstream.bridges.odometer.j1939 import (
     NOT_AVAILABLE,
     RESERVED,
     address_of,
+    ends_like_a_parameter,
     why_no_value,
 )
 from tramstream.config import Odometer, Signal, Vehicle, Wheel
@@ -173,8 +174,38 @@ def test_doors_that_are_not_available_are_not_known_and_the_wheel_is_read(tmp_pa
     assert counters["rejected_by_reason"] == {NOT_AVAILABLE: 1, IN_ERROR: 1}
 
 
+def test_range_of_a_signal_tells_j1939_where_nothing_else_does(tmp_path: Path) -> None:
+    """250.996 km/h is FAFF, the last value; so FE… and FF… behind it are none."""
+    node = bridge(dbc(tmp_path / "a.dbc", 0x00))
+    readings, _ = run(node, [frame(0, 0x18FEF100, 256), frame(1, 0x18FEF100, 0xFFFF)])
+    assert speeds(readings) == pytest.approx([1.0])
+    assert node.device_counters()["rejected_by_reason"] == {NOT_AVAILABLE: 1}
+
+
+@pytest.mark.parametrize(
+    ("largest", "scale", "offset", "length", "is_one"),
+    [
+        (250.996, 1 / 256, 0, 16, True),
+        (8031.875, 0.125, 0, 16, True),  # engine speed
+        (125, 1, -125, 8, True),  # torque
+        (210, 1, -40, 8, True),  # temperature
+        (21055406, 0.005, 0, 32, True),  # distance
+        (255, 1, 0, 8, False),
+        (6553.5, 0.1, 0, 16, False),
+        (250, 1, 0, 16, False),
+        (0, 1, 0, 16, False),
+        (None, 1, 0, 16, False),
+    ],
+)
+def test_last_value_of_a_parameter_is_known(
+    largest: float | None, scale: float, offset: float, length: int, is_one: bool
+) -> None:
+    assert ends_like_a_parameter(largest, scale, offset, length) is is_one
+
+
 def test_same_bits_outside_of_j1939_are_values(tmp_path: Path) -> None:
     path = tmp_path / "a.dbc"
-    path.write_text(f"{HEAD}BO_ {0x80000000 | 0x18FEF100} CCVS1: 8 ECU\n{SPEED}{DOORS}\n")
+    speed = SPEED.replace("250.996", "256")
+    path.write_text(f"{HEAD}BO_ {0x80000000 | 0x18FEF100} CCVS1: 8 ECU\n{speed}{DOORS}\n")
     readings, _ = run(bridge(str(path)), [frame(0, 0x18FEF100, 0xFFFF)])
     assert speeds(readings) == pytest.approx([0xFFFF / 256])

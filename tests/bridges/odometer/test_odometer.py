@@ -312,7 +312,7 @@ def test_late_frames_of_a_reader_are_stamped_by_their_cycle_and_counted(dbc: str
     errors_ms, out = [], []
     for k in range(400):
         sent_ms = 20 * k
-        waits_ms = 150 - sent_ms % 400 if k > 50 and sent_ms % 400 < 150 else 0
+        waits_ms = 150 - sent_ms % 400 if k > 150 and sent_ms % 400 < 150 else 0
         sent = [left(sent_ms + waits_ms, 5), right(sent_ms + waits_ms, 6)]
         message = pack(sent, "/dev/ttyACM0", read_stamps=True)
         out += node.step(Sample(keys.ODO_FRAMES, message, message.stamp_ns, k))
@@ -322,7 +322,7 @@ def test_late_frames_of_a_reader_are_stamped_by_their_cycle_and_counted(dbc: str
     assert max(map(abs, errors_ms)) < 1.0
     stamps = [reading.stamp_ns for reading in readings]
     assert all(after > before for before, after in pairwise(stamps))
-    late = sum(1 for k in range(51, 400) if 20 * k % 400 < 145)
+    late = sum(1 for k in range(151, 400) if 20 * k % 400 < 145)
     assert node.device_counters()["rejected_by_reason"] == {NOTE_LATE: 2 * late}
     assert node.device_counters()["frames_rejected"] == 0
     events = [each.message for each in out if each.key == keys.EVENT.at("odometer")]
@@ -341,8 +341,8 @@ def test_frames_that_the_kernel_stamped_keep_their_stamps(dbc: str) -> None:
 
 def test_any_cut_of_late_frames_and_a_restored_bridge_give_the_same(dbc: str) -> None:
     frames = []
-    for k in range(120):
-        ms = 20 * k + (150 - 20 * k % 400 if k > 50 and 20 * k % 400 < 150 else 0)
+    for k in range(200):
+        ms = 20 * k + (150 - 20 * k % 400 if k > 130 and 20 * k % 400 < 150 else 0)
         frames += [left(ms, k), right(ms, k)]
 
     def feed(node: OdometerBridge, part: list[CanFrame]) -> list[Odometry]:
@@ -352,7 +352,7 @@ def test_any_cut_of_late_frames_and_a_restored_bridge_give_the_same(dbc: str) ->
 
     whole = bridge(dbc)
     expected = feed(whole, frames)
-    for cut in range(1, len(frames), 13):
+    for cut in range(1, len(frames), 29):
         first, second = bridge(dbc), bridge(dbc)
         readings = feed(first, frames[:cut])
         second.restore(first.snapshot())
