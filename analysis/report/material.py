@@ -345,7 +345,8 @@ def _bounds(ride: RideSeries, inputs: Record) -> tuple[int, int]:
 def _edges(record: Record) -> Instants:
     """Of the bins that rates are counted in."""
     end_ns = max(record.end_ns, record.start_ns + S)
-    bins = min(max((end_ns - record.start_ns) / S / RATE_BIN_S, 1), RATE_BINS)
-    offsets = np.linspace(0, end_ns - record.start_ns, int(bins) + 1)
-    edges_ns: Instants = record.start_ns + offsets.astype(np.int64)
-    return edges_ns
+    length_ns = end_ns - record.start_ns
+    bins = int(min(max(length_ns / S / RATE_BIN_S, 1), RATE_BINS))
+    # Whole numbers: a record may begin in 1970 and end in 2262, where floats run over.
+    edges = [record.start_ns + length_ns * number // bins for number in range(bins + 1)]
+    return np.array(edges, dtype=np.int64)
