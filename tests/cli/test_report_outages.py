@@ -51,7 +51,9 @@ def test_receiver_that_is_unplugged_is_an_outage_however_short(
     tmp_path: Path, from_s: float, to_s: float, outages: list[tuple[float, float]]
 ) -> None:
     material = collect(unplugged(tmp_path / "a.mcap", from_s, to_s), "", "", print)
-    found = [[(each - START_NS) / S for each in pair] for pair in zip(*material.outages, strict=True)]
+    found = [
+        [(each - START_NS) / S for each in pair] for pair in zip(*material.outages, strict=True)
+    ]
     assert found == [pytest.approx(each, abs=0.01) for each in outages]
 
 
