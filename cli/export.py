@@ -59,11 +59,9 @@ def _csv(record: Record, out: Path, key: str) -> None:
 
 def _geojson(record: Record, out: Path) -> None:
     import json
-    import os
 
+    from tramstream.cli.terminal.page_file import write
     from tramstream.recorder.geojson import geojson
 
-    unfinished = out.with_name(out.name + ".part")
-    unfinished.write_text(json.dumps(geojson(record)), encoding="utf-8")
-    os.replace(unfinished, out)
+    write(out, json.dumps(geojson(record)))
     print(out)

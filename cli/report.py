@@ -30,13 +30,13 @@ def report(
     The page is one file that opens in any browser and asks no network.
     """
     import json
-    import os
     import time
 
     from rich.console import Console
 
     from tramstream.analysis.report.compose import compose
     from tramstream.analysis.report.source import collect
+    from tramstream.cli.terminal.page_file import write
     from tramstream.cli.terminal.session import make_room, say
     from tramstream.errors import ConfigError, DamagedRecordError
     from tramstream.shown import shown
@@ -49,9 +49,7 @@ def report(
         raise ConfigError(f"{out}: its folder does not exist; make it or choose another --out")
     with Console(stderr=True).status(shown(str(file))):
         material = collect(file, truth, estimate, say)
-        unfinished = out.with_name(out.name + ".part")
-        unfinished.write_text(compose(material), encoding="utf-8")
-        os.replace(unfinished, out)
+        write(out, compose(material))
     figures = {
         "file": str(file),
         "out": str(out),

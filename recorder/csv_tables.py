@@ -103,18 +103,21 @@ def _write(
 ) -> None:
     unfinished = path.with_name(path.name + ".part")
     place = {name: index + len(_ARRIVAL) for index, name in enumerate(columns)}
-    with unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*_ARRIVAL, *map(cell, columns)])
-        for entry, message in record.decoded(topic.__eq__):
-            row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
-            row[0], row[1] = entry.log_ns, entry.publish_ns
-            for _, name, value in flatten(message):
-                row[place[name]] = cell(value)
-            writer.writerow(row)
-            if advance is not None:
-                advance(1)
-    os.replace(unfinished, path)
+    try:
+        with unfinished.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([*_ARRIVAL, *map(cell, columns)])
+            for entry, message in record.decoded(topic.__eq__):
+                row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
+                row[0], row[1] = entry.log_ns, entry.publish_ns
+                for _, name, value in flatten(message):
+                    row[place[name]] = cell(value)
+                writer.writerow(row)
+                if advance is not None:
+                    advance(1)
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 def flatten(

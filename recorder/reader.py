@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,15 @@ from tramstream.errors import RecordError
 from tramstream.recorder.file.found import Damage
 from tramstream.recorder.file.layout import Entry, entries_of
 from tramstream.recorder.file.merge import in_order
-from tramstream.recorder.file.opened import File, check_outside, load, open_file, schema_version
+from tramstream.recorder.file.opened import (
+    Chunk,
+    File,
+    check_outside,
+    load,
+    open_file,
+    place_of,
+    schema_version,
+)
 from tramstream.recorder.file.sink import ACTIVE
 
 __all__ = ["ChannelInfo", "Damage", "Entry", "Record", "open_record"]
@@ -34,6 +42,8 @@ PAUSE_NS = 60 * S
 clock that was set by years. No time passes in it: longer than any gap that a processor measures,
 and short enough for thousands of pauses in one record."""
 _FOREVER_NS = 1 << 64
+_TIMES = itemgetter(2), itemgetter(3)
+"""Of an entry: when it came, when it was sent."""
 
 
 @dataclass(slots=True)
@@ -105,12 +115,14 @@ class Record:
     @property
     def start_ns(self) -> int:
         """First arrival; 0 for a record without messages."""
-        return min((file.start_ns for file in self.files if file.counts), default=0)
+        first_ns = min((file.start_ns for file in self.files if file.counts), default=0)
+        return min(first_ns, boundary.LATEST_NS)
 
     @property
     def end_ns(self) -> int:
         """Last arrival; 0 for a record without messages."""
-        return max((file.end_ns for file in self.files if file.counts), default=0)
+        last_ns = max((file.end_ns for file in self.files if file.counts), default=0)
+        return min(last_ns, boundary.LATEST_NS)
 
     @property
     def size_bytes(self) -> int:
@@ -163,7 +175,10 @@ class Record:
         ]
         chunks.sort(key=attrgetter("start_ns"))
         yield from in_order(
-            chunks, lambda chunk: entries_of(load(chunk).raw, wanted[id(chunk.file)], start, end)
+            chunks,
+            lambda chunk: _dated(
+                chunk, entries_of(load(chunk).raw, wanted[id(chunk.file)], start, end)
+            ),
         )
 
     @property
@@ -225,6 +240,20 @@ class Record:
                 if schema.name == name and schema.encoding == "protobuf":
                     return boundary.described(schema.data, name)
         return "of no type that the record describes with protobuf"
+
+
+def _dated(chunk: Chunk, entries: list[Entry]) -> list[Entry]:
+    """Leave out, and tell, what came or was sent at an instant that no clock shows."""
+    latest_ns = boundary.LATEST_NS
+    if not entries or max(max(map(time_of, entries)) for time_of in _TIMES) <= latest_ns:
+        return entries
+    kept = [entry for entry in entries if max(entry.log_ns, entry.publish_ns) <= latest_ns]
+    offset, length = place_of(chunk)
+    what = f"{len(entries) - len(kept)} messages of an instant that no clock shows"
+    damage = Damage(offset, length, what, length)
+    if damage not in chunk.file.damages:
+        chunk.file.damages.append(damage)
+    return kept
 
 
 def open_record(paths: Path | Iterable[Path], any_schema: bool = False) -> Record:

@@ -267,7 +267,8 @@ class Map(Struct, frozen=True, kw_only=True):
 
 
 class Recorder(Struct, frozen=True, kw_only=True):
-    """Where and how records are written: about 400 MB an hour with all three devices."""
+    """Where and how records are written: about 410 MB an hour with all three devices
+    (measured: `record_mb_per_hour` of `tramstream bench`)."""
 
     directory: str = "records"
     """Folder of the records."""

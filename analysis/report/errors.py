@@ -169,7 +169,7 @@ def _tiles(material: Material) -> list[tuple[str, str]]:
         tiles.append((f"{np.nanmax(np.abs(speed), initial=0):.1f} m/s", "highest speed"))
         count, stood_s = len(material.standing.start_ns), _seconds(material.standing)
         tiles.append((f"{count}", f"standstills, {stood_s:.0f} s in all"))
-    if material.ride.fixes is not None:
+    if material.receiver:
         share = 1 - _seconds(material.outages) / max(duration_s, 1e-9)
         count = len(material.outages.start_ns)
         plural = "outage" if count == 1 else "outages"

@@ -27,6 +27,10 @@ from tramstream.recorder.reader import Entry, Record
 
 OUTAGE_S = 5.0
 """A longer gap in the valid fixes is an outage, as it is for `evaluate`."""
+AWAY = ("SILENT", "LOST")
+"""States of a device that gives nothing: without a word, or unplugged. Then"""
+AWAY_S = 1.0
+"""without a fix for longer is an outage."""
 STAND_NS = 3 * S
 """Shorter standstills are not marked as stops."""
 STILL_MPS = 0.2
@@ -83,6 +87,8 @@ class Material:
     terms: Terms
     start_ns: int
     end_ns: int
+    receiver: bool
+    """Whether the vehicle has a receiver, plugged in or not."""
     standing: Runs = field(init=False)
     outages: Runs = field(init=False)
 
@@ -138,12 +144,18 @@ class Material:
         return long_runs(np.abs(speed) < STILL_MPS, stamp_ns, STAND_NS)
 
     def _outages(self) -> Runs:
-        """Where no valid fix came; none if there is no receiver in the record."""
-        if self.ride.fixes is None:
+        """Where no valid fix came, or the receiver was away; none for a vehicle without one."""
+        fixes = self.ride.fixes
+        if not self.receiver:
             return Runs(*_nothing())
-        known = self.ride.fixes.stamp_ns[self.ride.fixes.valid]
+        known = fixes.stamp_ns[fixes.valid] if fixes is not None else _nothing()[0]
         bounds = np.concatenate([[self.start_ns], known, [self.end_ns]]).astype(np.int64)
-        silent = np.diff(bounds) > OUTAGE_S * S
+        gaps = np.diff(bounds)
+        silent = gaps > OUTAGE_S * S
+        for run in self.health.devices.get(keys.GNSS_FIX.source, ()):
+            if run.state in AWAY:
+                beside = (bounds[:-1] < run.end_ns) & (bounds[1:] > run.start_ns)
+                silent |= beside & (gaps > AWAY_S * S)
         return Runs(bounds[:-1][silent], bounds[1:][silent])
 
 
@@ -190,6 +202,9 @@ def read_material(
         terms=terms_of(vehicle, record.start_ns, 0.0, OUTAGE_S),
         start_ns=start_ns,
         end_ns=end_ns,
+        receiver=ride.fixes is not None
+        or keys.GNSS_FIX.source in scan.health.devices
+        or (vehicle is not None and vehicle.gnss is not None),
     )
 
 
@@ -345,7 +360,8 @@ def _bounds(ride: RideSeries, inputs: Record) -> tuple[int, int]:
 def _edges(record: Record) -> Instants:
     """Of the bins that rates are counted in."""
     end_ns = max(record.end_ns, record.start_ns + S)
-    bins = min(max((end_ns - record.start_ns) / S / RATE_BIN_S, 1), RATE_BINS)
-    offsets = np.linspace(0, end_ns - record.start_ns, int(bins) + 1)
-    edges_ns: Instants = record.start_ns + offsets.astype(np.int64)
-    return edges_ns
+    length_ns = end_ns - record.start_ns
+    bins = int(min(max(length_ns / S / RATE_BIN_S, 1), RATE_BINS))
+    # Whole numbers: a record may begin in 1970 and end in 2262, where floats run over.
+    edges = [record.start_ns + length_ns * number // bins for number in range(bins + 1)]
+    return np.array(edges, dtype=np.int64)

@@ -26,7 +26,10 @@ def make_place(out: Path, sources: Sequence[Path], overwrite: bool, option: str 
 
 
 def write(out: Path, page: str) -> None:
-    """Write a page whole or not at all."""
+    """Write a page whole or not at all; whoever is ended meanwhile leaves nothing."""
     unfinished = out.with_name(out.name + ".part")
-    unfinished.write_text(page, encoding="utf-8")
-    os.replace(unfinished, out)
+    try:
+        unfinished.write_text(page, encoding="utf-8")
+        os.replace(unfinished, out)
+    finally:
+        unfinished.unlink(missing_ok=True)

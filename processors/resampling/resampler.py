@@ -41,6 +41,8 @@ from tramstream.proto.sync_pb2 import ImuMean, LateSample, SyncFrame, SyncGap
 
 MAX_AHEAD_S = 5.0
 """A measurement further ahead of the newest stamp has a broken clock; it would wait for ever."""
+MAX_BATCH_S = 100.0
+"""Imported batches last a second, those of a bridge 10 ms; what is longer, or NaN, is none."""
 MAX_STRETCH = 0.5
 """Samples follow one another if their stamps are within so much of what their numbers say: the
 bridge breaks a batch at 1.5 periods, and its clock fit slews by 10 % at most."""
@@ -119,7 +121,8 @@ class Resampler(Processor):
         memory = self.memory
         count = len(batch.gyro_x)
         self._samples.received += count
-        if count == 0:
+        if count == 0 or not _is_whole(batch, count):  # somebody else's: bridges make none of those
+            self._samples.dropped += count
             return []
         last_ns = batch.stamp_ns + round(batch.period_ns * (count - 1))
         if last_ns <= memory.newest_imu_ns:  # stamps run backwards: nothing to put in order
@@ -271,6 +274,18 @@ class Resampler(Processor):
             replace(self._samples, pending=self._windows.pending),
             replace(self._measured, pending=len(self._measurements)),
         ]
+
+
+def _is_whole(batch: ImuBatch, count: int) -> bool:
+    """Whether every column has `count` numbers, and the instants of all can be counted."""
+    return 0.0 <= batch.period_ns * count <= MAX_BATCH_S * S and (
+        len(batch.gyro_y)
+        == len(batch.gyro_z)
+        == len(batch.accel_x)
+        == len(batch.accel_y)
+        == len(batch.accel_z)
+        == count
+    )
 
 
 def _taps(vehicle: Vehicle) -> Array:

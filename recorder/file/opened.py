@@ -185,6 +185,14 @@ def load(chunk: Chunk) -> Restored:
     return restored
 
 
+def place_of(chunk: Chunk) -> tuple[int, int]:
+    """Where a chunk begins in its file, and how long it is."""
+    place = chunk.place
+    if isinstance(place, Part):
+        return place.offset, place.end - place.offset
+    return place.chunk_start_offset, place.chunk_length
+
+
 def _by_guard(source: Source, place: ChunkIndex) -> Restored:
     """What the guard before a damaged chunk can prove of it."""
     for reach in _GUARD_REACH_BYTES:

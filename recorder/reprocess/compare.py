@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,10 +20,13 @@ TOLD = 10
 
 @dataclass(slots=True)
 class _Place:
-    """Of one key in one session, what has no counterpart yet, by its number."""
+    """Of one key in one session, what has no counterpart yet, by its number.
 
-    made: dict[int, bytes] = field(default_factory=dict)
-    expected: dict[int, bytes] = field(default_factory=dict)
+    A number comes again where a process goes on from its memory of some seconds ago.
+    """
+
+    made: dict[int, deque[bytes]] = field(default_factory=dict)
+    expected: dict[int, deque[bytes]] = field(default_factory=dict)
 
 
 @dataclass
@@ -52,35 +56,33 @@ class Comparison:
         """Take an output that the live run published."""
         self._latest_session = max(self._latest_session, session)
         place = self._place(session, path)
-        ours = place.made.pop(sequence, None)
-        if ours is not None:
-            self._compare(path, sequence, ours, payload)
-        elif sequence in place.expected:
-            self._differ(_twice, path, sequence)
+        ours = _first(place.made, sequence)
+        if ours is None:
+            place.expected.setdefault(sequence, deque()).append(payload)
         else:
-            place.expected[sequence] = payload
+            self._compare(path, sequence, ours, payload)
 
     def make(self, session: int, path: str, sequence: int, payload: bytes) -> None:
         """Take an output that was made again."""
         place, number = self._place(session, path), sequence & SEQUENCE_MASK
-        theirs = place.expected.pop(number, None)
+        theirs = _first(place.expected, number)
         if theirs is not None:
             self._compare(path, number, payload, theirs)
             return
-        place.made[number] = payload
+        place.made.setdefault(number, deque()).append(payload)
         if len(place.made) > REORDERED:
-            del place.made[next(iter(place.made))]
-            self.unrecorded += 1
+            self.unrecorded += len(place.made.pop(next(iter(place.made))))
 
     def close(self) -> None:
         """Account for what has no counterpart."""
         for (session, path), place in self._places.items():
-            self.unrecorded += len(place.made)
+            self.unrecorded += sum(map(len, place.made.values()))
             if session < self._latest_session:
-                self.unanchored += len(place.expected)
+                self.unanchored += sum(map(len, place.expected.values()))
             else:
-                for sequence in place.expected:
-                    self._differ(_missed, path, sequence)
+                for sequence, payloads in place.expected.items():
+                    for _ in payloads:
+                        self._differ(_missed, path, sequence)
 
     def _place(self, session: int, path: str) -> _Place:
         place = self._places.get((session, path))
@@ -103,8 +105,15 @@ def _missed(path: str, sequence: int) -> str:
     return f"{path} sequence {sequence}: recorded, but not made again"
 
 
-def _twice(path: str, sequence: int) -> str:
-    return f"{path} sequence {sequence}: recorded twice"
+def _first(waiting: dict[int, deque[bytes]], sequence: int) -> bytes | None:
+    """Take the first of those with a number out of what waits."""
+    payloads = waiting.get(sequence)
+    if payloads is None:
+        return None
+    first = payloads.popleft()
+    if not payloads:
+        del waiting[sequence]
+    return first
 
 
 def _describe(path: str, sequence: int, payload: bytes, recorded: bytes) -> str:

@@ -504,16 +504,16 @@ def use_candump(path: Path) -> None:
 
 
 KINDS = (
-    Kind("configuration", ".toml", configurations, use_configuration, change_text, 1500),
-    Kind("mapping", ".toml", mappings, use_mapping, change_text, 600),
-    Kind("table", ".csv", tables, use_table, change_either, 300),
-    Kind("scenario", ".toml", scenarios, use_scenario, change_text, 150),
-    Kind("line", ".geojson", lines, use_line, change_text, 300),
+    Kind("configuration", ".toml", configurations, use_configuration, change_text, 400),
+    Kind("mapping", ".toml", mappings, use_mapping, change_text, 300),
+    Kind("table", ".csv", tables, use_table, change_either, 200),
+    Kind("scenario", ".toml", scenarios, use_scenario, change_text, 60),
+    Kind("line", ".geojson", lines, use_line, change_text, 100),
     Kind("gpx", ".gpx", gpx, lambda path: traces.read(path) and None, change_either, 300),
     Kind("osm", ".json", osm, use_osm, change_text, 300),
-    Kind("network", ".tracks", networks, use_network, change_archive, 300),
-    Kind("record", ".mcap", records, use_record, change_record, 40),
-    Kind("nmea", ".nmea", nmea, use_receiver, change_nmea, 300),
-    Kind("ubx", ".ubx", ubx, use_receiver, change_ubx, 300),
-    Kind("candump", ".candump", candump, use_candump, change_either, 300),
+    Kind("network", ".tracks", networks, use_network, change_archive, 150),
+    Kind("record", ".mcap", records, use_record, change_record, 30),
+    Kind("nmea", ".nmea", nmea, use_receiver, change_nmea, 150),
+    Kind("ubx", ".ubx", ubx, use_receiver, change_ubx, 150),
+    Kind("candump", ".candump", candump, use_candump, change_either, 150),
 )

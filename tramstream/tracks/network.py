@@ -248,11 +248,14 @@ class Network:
                     names[each.name] = value
             archive.writestr(_entry("names.json"), json.dumps(names, ensure_ascii=False))
         partial = path.with_name(path.name + ".partial")
-        with partial.open("wb") as file:
-            file.write(packed.getvalue())
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        try:
+            with partial.open("wb") as file:
+                file.write(packed.getvalue())
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -352,17 +355,14 @@ def _doubt_of(names: _Names, tracks: int) -> str:
     """What the names say of tracks that are not there; empty if nothing."""
     of_tracks = [stop.track for stop in names.stops] + [way.track for way in names.ways]
     of_runs = [run for line in names.lines for run in line.runs]
-    lengths = [names.height_m, names.node_std_m]
-    lengths += [stop.chainage_m for stop in names.stops]
+    lengths = [names.height_m, names.node_std_m, *(stop.chainage_m for stop in names.stops)]
     lengths += [end for way in names.ways for end in (way.from_m, way.to_m)]
     for line in names.lines:
         lengths += [line.begin_m, line.length_m, *(stop.chainage_m for stop in line.stops)]
     if not check.are_below(of_tracks, tracks):
         return "stops or ways on tracks that are not there"
-    if not check.are_below(of_runs, 2 * tracks):
+    if not check.are_below(of_runs, 2 * tracks) or not all(line.runs for line in names.lines):
         return "lines over tracks that are not there"
-    if not all(line.runs for line in names.lines):
-        return "a line over no track"
     if abs(names.latitude_rad) > math.pi / 2 or abs(names.longitude_rad) > 2 * math.pi:
         return "a place that is none"
     return "" if check.are_lengths(lengths) else "lengths that nothing on Earth has"

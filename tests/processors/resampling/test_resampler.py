@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import math
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -31,6 +35,7 @@ from tramstream.errors import ConfigError
 from tramstream.live import snapshots
 from tramstream.processor import Sample
 from tramstream.processors.resampling.resampler import MAX_AHEAD_S, Resampler
+from tramstream.proto.raw_pb2 import ImuBatch
 from tramstream.proto.sync_pb2 import LateSample
 
 LAG_NS = 300 * MS
@@ -294,6 +299,28 @@ def test_reprocessing_does_not_judge_the_future_by_its_own_order() -> None:
     processor.late_recorded = {}
     outputs = step_all(processor, [*batches(noise(20)), early, *batches(noise(24_000), first=20)])
     assert sum(len(frame.gnss) for frame in messages(outputs, keys.SYNC_FRAME)) == 1
+
+
+@pytest.mark.parametrize(
+    "garble",
+    [
+        lambda batch: batch.gyro_y.append(1),
+        lambda batch: batch.accel_z.pop(),
+        lambda batch: setattr(batch, "period_ns", math.nan),
+        lambda batch: setattr(batch, "period_ns", math.inf),
+        lambda batch: setattr(batch, "period_ns", -5e5),
+        lambda batch: setattr(batch, "period_ns", 1e18),
+    ],
+)
+def test_batch_that_no_bridge_makes_costs_itself_alone(garble: Callable[[ImuBatch], None]) -> None:
+    good = batches(noise(2000))
+    broken = copy.deepcopy(good[50].message)
+    garble(broken)
+    processor = resampler()
+    samples = [*good[:50], good[50]._replace(message=broken), *good[50:]]
+    made, right = step_all(processor, samples), step_all(resampler(), good)
+    assert encoded(made) == encoded(right)
+    assert processor.ledgers()[0].dropped >= len(broken.gyro_x)
 
 
 def test_reversed_inertial_stamps_are_told_and_not_used() -> None:
