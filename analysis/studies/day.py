@@ -41,7 +41,6 @@ from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay
-from tramstream.simulation.vehicle import configuration
 
 LINES = ("7/0", "7/1")
 HOURS = 8.0
@@ -135,7 +134,7 @@ def study(case: Case, stopped: Callable[[], bool] = lambda: False) -> Iterator[P
 
 def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False) -> Iterator[Part]:
     """Go through a day that is set up."""
-    vehicle = configuration(base())
+    vehicle = made.simulation.vehicle  # as an operator knows it: of the sensors alone
     runs = [_Run(vehicle), _Run(replace(vehicle, map=config.Map(network=case.network)))]
     length_s = made.simulation.duration_s / PARTS
     number, time_s = 1, 0.0
