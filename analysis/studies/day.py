@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,7 +41,6 @@ from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay
-from tramstream.simulation.vehicle import configuration
 
 LINES = ("7/0", "7/1")
 HOURS = 8.0
@@ -128,24 +127,28 @@ def setting(case: Case) -> Setting:
     return Setting(plan, ride, Simulation(ride.line, chosen, case.seed, case.day_s))
 
 
-def study(case: Case) -> Iterator[Part]:
-    """Go through the day; figures come as soon as a part of it is over."""
-    return parts(case, setting(case))
+def study(case: Case, stopped: Callable[[], bool] = lambda: False) -> Iterator[Part]:
+    """Go through the day; figures come as soon as a part of it is over, or once it is `stopped`."""
+    return parts(case, setting(case), stopped)
 
 
-def parts(case: Case, made: Setting) -> Iterator[Part]:
+def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False) -> Iterator[Part]:
     """Go through a day that is set up."""
-    vehicle = configuration(base())
+    vehicle = made.simulation.vehicle  # as an operator knows it: of the sensors alone
     runs = [_Run(vehicle), _Run(replace(vehicle, map=config.Map(network=case.network)))]
-    length_ns = round(made.simulation.duration_s / PARTS * S)
-    number = 0
+    length_s = made.simulation.duration_s / PARTS
+    number, time_s = 1, 0.0
     for frame in _frames(made.simulation, vehicle):
-        while number + 1 < PARTS and frame.stamp_ns >= EPOCH_NS + (number + 1) * length_ns:
+        time_s = (frame.stamp_ns - EPOCH_NS) / S
+        while number < PARTS and time_s >= number * length_s:
+            span_s = ((number - 1) * length_s, number * length_s)
+            yield from (_part(case, made, run, number, span_s) for run in runs)
             number += 1
-            yield from (_part(case, made, run, number) for run in runs)
+        if stopped():
+            break
         for run in runs:
             run.step(frame)
-    yield from (_part(case, made, run, number + 1) for run in runs)
+    yield from (_part(case, made, run, number, ((number - 1) * length_s, time_s)) for run in runs)
 
 
 def _frames(simulation: Simulation, vehicle: config.Vehicle) -> Iterator[Sample]:
@@ -206,7 +209,7 @@ def _warns(event: health_pb2.Event) -> bool:
     return int(event.severity) in (Severity.WARNING, Severity.ERROR)
 
 
-def _part(case: Case, made: Setting, run: _Run, number: int) -> Part:
+def _part(case: Case, made: Setting, run: _Run, number: int, span_s: tuple[float, float]) -> Part:
     """Judge what a filter said in a part of the day, and forget it."""
     simulation = made.simulation
     known = run.states.states(simulation.line.level)
@@ -220,8 +223,7 @@ def _part(case: Case, made: Setting, run: _Run, number: int) -> Part:
         named = matching.Case(case.network, made.plan.route.name, case.seed)
         tallies = matching.figures(named, made.ride, simulation, run.matches).tallies
         track = tallies[TRACK].share
-    end_s = number * simulation.duration_s / PARTS
-    time_s = np.arange(end_s - simulation.duration_s / PARTS, end_s, 1.0)
+    time_s = np.linspace(*span_s, 1000)
     gone_m = simulation.ride.gone_m(time_s)
     nothing = float("nan")
     part = Part(

@@ -14,7 +14,7 @@ from rich.table import Table
 from tramstream.analysis.studies import day as study
 from tramstream.analysis.studies.day import Case, Growth, Part
 from tramstream.cli.figures.options import Options
-from tramstream.cli.terminal.session import say
+from tramstream.cli.terminal.session import say, stop_on_signals
 from tramstream.errors import ConfigError
 from tramstream.machine import compilation
 
@@ -31,12 +31,12 @@ def reproduce(options: Options) -> None:
     compilation.ensure(say)
     began_s = time.monotonic()
     parts: list[Part] = []
-    try:
-        for part in study.study(case):
-            parts.append(part)
-            say(_sentence(part))
-    except KeyboardInterrupt:
-        say(f"stopped after {len(parts) // 2} of {study.PARTS} parts")
+    stop = stop_on_signals()
+    for part in study.study(case, stop.is_set):
+        parts.append(part)
+        say(_sentence(part))
+    if stop.is_set():
+        say(f"stopped; part {parts[-1].number} of {study.PARTS} is judged as far as it came")
     elapsed_s = time.monotonic() - began_s
     found = [study.growth(parts, with_map) for with_map in (False, True)]
     grown = [each for each in found if each is not None]

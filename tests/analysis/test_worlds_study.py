@@ -157,6 +157,33 @@ def test_worlds_that_nobody_sensible_meets_are_held_to_less() -> None:
     assert sums.all_beyond_share([spoofed], True) is None
 
 
+def test_world_near_its_bound_need_not_be_near_todays() -> None:
+    near, far = (
+        figures("slow fix errors", moving_p90_m=2.2, bound_p90_m=least) for least in (2.0, 1.5)
+    )
+    today = figures()
+    (_, held), (_, lost) = sums.sums([today, near]), sums.sums([today, far])
+    assert held.over_bound == pytest.approx(1.1)
+    assert held.failed == ()
+    assert lost.over_bound == pytest.approx(2.2 / 1.5)
+    assert lost.failed == ("P90",)
+    assert sums.sums([today])[0].over_bound is None
+
+
+def test_bound_of_slow_errors_is_what_nobody_can_see_of_them() -> None:
+    """Errors of ten minutes are all there in two: P90 of 1 m per axis is √(2 ln 10) = 2.15 m."""
+    slow, honest = (
+        study.bound_p90_m(study.simulation_of(case(world, duration_s=120.0)))
+        for world in ("slow fix errors", "honest receiver")
+    )
+    assert slow is not None
+    assert honest is not None
+    assert 1.9 < slow < 2.15
+    assert honest < 0.8 * slow
+    before = study.simulation_of(case("honest receiver", duration_s=10.0))
+    assert study.bound_p90_m(before) is None
+
+
 def test_without_todays_rides_there_is_no_ratio() -> None:
     (only,) = sums.sums([figures("static hold")])
     assert math.isnan(only.ratio)
