@@ -47,7 +47,7 @@ stays within 5 either way; the first acceleration or curve makes it hundreds."""
 LEAVING_MPS2 = 0.5
 """By so much a vehicle accelerates otherwise than between the two fixes before; by hand."""
 BLIND_MPS2 = 1.5
-"""How a vehicle accelerates of which nobody measures it; reckoned from trams."""
+"""How a vehicle accelerates of which nobody measures it; reckoned by hand from trams."""
 UNSURE_WAY_M = 300.0
 """After so long a way the likelier direction is taken, however little."""
 

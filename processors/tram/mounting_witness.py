@@ -29,7 +29,7 @@ from tramstream.processors.tram_filter.events import MOUNTING_WRONG
 from tramstream.proto.sync_pb2 import SyncFrame
 
 RECENT = 40
-"""Points of the way that a moment of driving needs: four seconds."""
+"""Points of the way that a moment of driving needs: four seconds; by hand."""
 _KEY = keys.IMU_BATCH.path
 
 

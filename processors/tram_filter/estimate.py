@@ -28,7 +28,7 @@ EAST_VARIANCE, NORTH_VARIANCE, SPEED_VARIANCE = (
 )
 """In the values of an estimate, whose covariance has seven columns."""
 STEEPEST = 0.09
-"""Grade of the steepest tramways; the height of a stand may be off by that."""
+"""Grade of the steepest tramways, by which heights change on a way that is not known; by hand."""
 NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 """Of an angle that may be any."""
 

@@ -48,7 +48,7 @@ AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
 FOR_GOOD_NS = 1 << 62
-"""An instant that no ride sees."""
+"""An instant that no ride sees; chosen by hand."""
 ABSENT, BELIEVED, FOUND_STUCK, DRAWN = range(4)
 """What became of a frame's inertial reading: none or not believed, taken, just found stuck, drawn
 through a gap. Plain numbers, for it is asked a hundred times a second."""

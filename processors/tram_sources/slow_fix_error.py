@@ -45,8 +45,6 @@ ASTRAY_SHARE, ASTRAY_M = 0.01, 10.0
 """How often, and by how much, fixes jump or the filter goes astray; chosen by hand."""
 LOST_S = 12.0
 """What has jumped for so long is a new constant; chosen by hand, longer than multipath jumps."""
-UNKNOWN_M2 = 1e4
-"""Variance of a constant that nothing is known of."""
 COUNT = len(FAST) * len(SLOW)
 _FAST = np.repeat(FAST, len(SLOW))
 _SLOW = np.tile(SLOW, len(FAST))
