@@ -182,4 +182,4 @@ class SlowFixError:
         K = np.where(fits, 1.0 / variance, 0.0)[:, None] * gain
         memory.x += K[:, None, :] * y[:, :, None]
         memory.P -= K[:, :, None] * gain[:, None, :]
-        return not fits[likeliest]
+        return not bool(fits[likeliest])
