@@ -65,6 +65,11 @@ class FirstPlace:
         """Begin anew: the vehicle has moved."""
         self.memory.levels.clear()
 
+    def begin(self, level: Level) -> None:
+        """Begin with what is believed, by the fixes before."""
+        self.memory.levels.append(level)
+        self.memory.fix_ns = level.last_ns
+
     def take(
         self, stamp_ns: int, east_m: float, north_m: float, std_m: float
     ) -> tuple[float, float] | None:

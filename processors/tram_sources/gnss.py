@@ -44,7 +44,7 @@ from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.measurement import PAIR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_sources.divergence import Heard, Offset
-from tramstream.processors.tram_sources.first_place import FirstPlace, FirstPlaceMemory
+from tramstream.processors.tram_sources.first_place import FirstPlace, FirstPlaceMemory, Level
 from tramstream.processors.tram_sources.fix_noise import (
     HEAVY_SIGMA,
     WHITE_FLOOR_M,
@@ -213,7 +213,7 @@ class Fixes:
                 self._absorb_height(ekf, verdicts[2].innovation, std_up)
         resting = standing and not ekf.heading_known
         if resting:
-            found += self._rest(fix.stamp_ns, z, ekf)
+            found += self._rest(fix.stamp_ns, z, ekf, refused)
         elif self.memory.first.levels:
             self._first.forget()
         if refused:
@@ -249,7 +249,12 @@ class Fixes:
 
     def _rest(self, stamp_ns: int, z: tuple[float, float, float], ekf: TramFilter) -> list[Event]:
         """Let a vehicle that has not moved yet be where its fixes have been for longest."""
-        std = self.noise.std_m
+        std, last_ns = self.noise.std_m, self.memory.last_ns
+        if not self.memory.first.levels:  # the vehicle is believed to be somewhere already
+            here = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
+            last = here if refused else (z[0], z[1])
+            lasted_s = (last_ns - self.memory.begun_ns) / S if last_ns else 0.0
+            self._first.begin(Level(*here, *last, last_ns or stamp_ns, lasted_s))
         place = self._first.take(stamp_ns, z[0], z[1], std)
         if place is None:
             return []
