@@ -247,7 +247,9 @@ class Fixes:
         self.heard = Heard(fix.stamp_ns, std_m, refused, innovation_m, velocity, accepted)
         return verdicts, found
 
-    def _rest(self, stamp_ns: int, z: tuple[float, float, float], ekf: TramFilter) -> list[Event]:
+    def _rest(
+        self, stamp_ns: int, z: tuple[float, float, float], ekf: TramFilter, refused: bool
+    ) -> list[Event]:
         """Let a vehicle that has not moved yet be where its fixes have been for longest."""
         std, last_ns = self.noise.std_m, self.memory.last_ns
         if not self.memory.first.levels:  # the vehicle is believed to be somewhere already
