@@ -26,13 +26,13 @@ from tramstream.processors.consistency.mounting import (
     GRAVITY_LIMIT_MPS2,
     GRAVITY_MPS2,
     STDS,
-    WINDOW_S,
     Mounting,
     MountingMemory,
     Turn,
 )
 from tramstream.processors.consistency.speeds import Fixes, Speeds, compared, lever
 from tramstream.processors.consistency.way import Course, Way, WayMemory
+from tramstream.processors.consistency.windows import Window, WindowMemory
 from tramstream.proto.sync_pb2 import ImuMean, LateSample, SyncFrame
 
 AGAIN_S = 300.0
@@ -90,12 +90,7 @@ class CheckMemory:
 
     way: WayMemory = field(default_factory=WayMemory)
     mounting: MountingMemory = field(default_factory=MountingMemory)
-    sums: list[float] = field(default_factory=lambda: [0.0] * 6)
-    """Of the running window: force and rate in the axes of the case."""
-    count: int = 0
-    window_s: float = 0.0
-    path_m: float = 0.0
-    """At the beginning of the window."""
+    window: WindowMemory = field(default_factory=WindowMemory)
     fixes: FixesMemory = field(default_factory=FixesMemory)
     frame_s: float = 0.0
     judged_s: float = 0.0
@@ -121,6 +116,7 @@ class ConfigurationCheck(Processor):
         super().__init__()
         self._vehicle = vehicle
         self._way = Way(vehicle, self.memory.way)
+        self._window = Window(self.memory.window)
         self._fixes = FixHistory(self._way, self.memory.fixes)
         imu = vehicle.imu
         self._mounting = Mounting(imu, self.memory.mounting) if imu is not None else None
@@ -163,27 +159,15 @@ class ConfigurationCheck(Processor):
 
     # Inertial sensor -----------------------------------------------------------------------------
     def _take_imu(self, imu: ImuMean, time_s: float, mounting: Mounting) -> list[Event]:
-        memory, sums = self.memory, self.memory.sums
+        memory = self.memory
         dt_s = min(time_s - memory.frame_s, LONGEST_S)
         memory.frame_s = time_s
         x, y, z = imu.gyro_x_radps, imu.gyro_y_radps, imu.gyro_z_radps
         self._way.turn(time_s, mounting.rate(x, y, z), dt_s)
-        sums[0] += imu.accel_x_mps2
-        sums[1] += imu.accel_y_mps2
-        sums[2] += imu.accel_z_mps2
-        sums[3] += x
-        sums[4] += y
-        sums[5] += z
-        memory.count += 1
-        span_s = time_s - memory.window_s
-        if span_s < WINDOW_S - 1e-3:
+        if not self._window.add(imu, time_s):
             return []
-        mean = [each / memory.count for each in sums]
-        usable = span_s < 1.5 * WINDOW_S and math.isfinite(sum(mean))
-        moved_m = abs(memory.way.path_m - memory.path_m)
-        memory.sums[:], memory.count = [0.0] * 6, 0
-        memory.window_s, memory.path_m = time_s, memory.way.path_m
-        if not usable:
+        mean, moved_m = self._window.end(time_s, memory.way.path_m)
+        if mean is None:
             memory.mounting.windows.clear()
             return []
         if mounting.take(time_s, mean, self._still(time_s, moved_m)):
@@ -303,7 +287,7 @@ class ConfigurationCheck(Processor):
         if abs(math.degrees(turn.angle_rad)) > mounting.turn_limit_deg:
             return []  # who knows where is ahead, and to which side the wheels turn
         at = lever(fixes, path, Course(self.memory.way.turned), found, self._way.wheels_left_m)
-        pivot_m, pivot_std_m = self._vehicle.ekf.pivot_m, self._vehicle.ekf.pivot_std_m
+        pivot_m, pivot_std_m = self._vehicle.ekf.pivot_m, self._vehicle.ekf.pivot_std_m or 0.0
         ahead_m, left_m, _ = gnss.lever_arm_m
         limit_m = max(LEVER_LIMIT_M, STDS * pivot_std_m)
         sides = (

@@ -17,22 +17,25 @@ import math
 from dataclasses import dataclass, field
 
 from tramstream.clock import S
-from tramstream.estimation.fixes import antenna_l, unusable
+from tramstream.estimation.fixes import antenna_l, unusable, velocity_l
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
 from tramstream.memory.stage import assign, copied
-from tramstream.processors.tram.navigation import Navigation, NavigationMemory
-from tramstream.processors.tram_filter.alignment import Alignment, AlignmentMemory
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation_memory import NavigationMemory
+from tramstream.processors.tram_filter.alignment import WHITE_SHARE, Alignment, AlignmentMemory
 from tramstream.processors.tram_filter.events import REFUSALS
 from tramstream.processors.tram_model.records import Z
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.fix_noise import INDEPENDENT_S
+from tramstream.processors.tram_sources.gnss import velocity_std
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
 
 KEEP_S = 120.0
 """Frames of so long are kept."""
 YOUNG_S = 2.0
-"""An older fix tells nothing of the place of the departure."""
+"""An older fix tells nothing of the place of the departure, and its velocity does not go on."""
 HEADING_PRIOR_RAD = 0.35
 """The heading that displacements gave is only where the filter begins: it sees the same fixes."""
 SPEED_PRIOR_MPS = 3.0
@@ -41,6 +44,10 @@ FORWARDS = 2.0
 SURE = 20.0
 """Difference of log-likelihood at which a direction is taken. On a straight at constant speed it
 stays within 5 either way; the first acceleration or curve makes it hundreds."""
+LEAVING_MPS2 = 0.5
+"""By so much a vehicle accelerates otherwise than between the two fixes before; by hand."""
+BLIND_MPS2 = 1.5
+"""How a vehicle accelerates of which nobody measures it; reckoned by hand from trams."""
 UNSURE_WAY_M = 300.0
 """After so long a way the likelier direction is taken, however little."""
 
@@ -68,6 +75,55 @@ class Tried:
 
 
 @dataclass
+class Gone:
+    """The way since the departure by the velocities of the receiver, which no jump moves."""
+
+    fix_ns: int
+    """Of the last one; before the first, the departure."""
+    way: complex = 0j
+    """To the east and, imaginary, to the north, m."""
+    velocity: complex = 0j
+    acceleration: complex = 0j
+    variance_m2: float = 0.0
+    """Of either axis."""
+    std_mps: float = 0.0
+    blind: bool = False
+    """Whether there has been a fix without."""
+    place: complex | None = None
+    """Of the last fix."""
+
+    def note(self, stamp_ns: int, place: complex, std_m: float) -> None:
+        """Take the place of a fix that has no velocity: neighbours show one."""
+        dt_s = (stamp_ns - self.fix_ns) / S
+        if self.place is not None and dt_s > 0.0:
+            self.velocity, self.std_mps = (place - self.place) / dt_s, std_m / dt_s
+        self.blind, self.place, self.fix_ns = True, place, stamp_ns
+
+    def take(self, stamp_ns: int, velocity: complex, std_mps: float) -> None:
+        """Take a velocity."""
+        dt_s = (stamp_ns - self.fix_ns) / S
+        if dt_s <= 0.0:
+            return
+        self.way += 0.5 * dt_s * (self.velocity + velocity)
+        self.variance_m2 += std_mps * std_mps * max(dt_s, INDEPENDENT_S) * dt_s
+        self.acceleration = (velocity - self.velocity) / dt_s
+        self.fix_ns, self.velocity, self.std_mps = stamp_ns, velocity, std_mps
+
+    def at(self, stamp_ns: int) -> tuple[complex, float]:
+        """Way until an instant after the last fix, and its variance."""
+        way, variance_m2 = self.since(stamp_ns, LEAVING_MPS2)
+        return self.way + way, self.variance_m2 + variance_m2
+
+    def since(self, stamp_ns: int, unseen_mps2: float) -> tuple[complex, float]:
+        """Way since the last fix and its variance, where so much acceleration is not known."""
+        age_s = (stamp_ns - self.fix_ns) / S
+        led_s = min(age_s, YOUNG_S)
+        sped_m = 0.5 * unseen_mps2 * age_s * age_s + (age_s - led_s) * abs(self.velocity)
+        gone = led_s * (self.velocity + 0.5 * led_s * self.acceleration)
+        return gone, (self.std_mps * age_s) ** 2 + sped_m * sped_m
+
+
+@dataclass
 class SearchMemory:
     """What a `Search` remembers."""
 
@@ -76,6 +132,7 @@ class SearchMemory:
     departed_ns: int
     rested: bool
     last_ns: int
+    gone: Gone
     turned: float = 0.0
     found: bool = False
     failed: bool = False
@@ -100,8 +157,10 @@ class Search:
         self, navigation: Navigation, fix: GnssFix | None, memory: SearchMemory | None = None
     ) -> None:
         departed_ns = navigation.ekf.stamp_ns
+        # Fixes alone see a departure when it has begun.
+        rested = navigation.memory.stood and not navigation.alone
         self.memory = memory or SearchMemory(
-            navigation.kept(), departed_ns, navigation.memory.stood, departed_ns
+            navigation.kept(), departed_ns, rested, departed_ns, Gone(departed_ns)
         )
         self._alignment = Alignment(navigation.fixes.tau_s, self.memory.alignment)
         if memory is not None:
@@ -146,6 +205,17 @@ class Search:
             return self._try_directions(navigation, noise, speed_mps)
         return []
 
+    def way(self, stamp_ns: int) -> tuple[complex, float, complex] | None:
+        """Way of a vehicle that stood before, its variance and its velocity, if they are known."""
+        gone = self.memory.gone
+        if gone.blind or not self.memory.rested:
+            return None
+        return *gone.at(stamp_ns), gone.velocity
+
+    def way_since_fix(self, stamp_ns: int) -> tuple[complex, float]:
+        """Way since the last fix, and its variance."""
+        return self.memory.gone.since(stamp_ns, BLIND_MPS2)
+
     def abandon(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
         wheels, stamp_ns = copied(navigation.wheels.memory), self.memory.last_ns
@@ -172,6 +242,13 @@ class Search:
             east, north, _ = antenna_l(fix, navigation.level)
             std = navigation.accuracy_m(fix)
             self._alignment.take(time_s, east, north, self.memory.turned, std)
+            velocity = velocity_l(fix, navigation.level)
+            gone = self.memory.gone
+            if velocity is None:
+                apart = 1.0 - math.exp(-1.0 / navigation.fixes.tau_s) + WHITE_SHARE
+                gone.note(fix.stamp_ns, complex(east, north), std * math.sqrt(2.0 * apart))
+            else:
+                gone.take(fix.stamp_ns, complex(*velocity), velocity_std(fix))
 
     # Directions ----------------------------------------------------------------------------------
     def _try_directions(

@@ -8,12 +8,11 @@ that stood before and has not moved is taken to stand there yet (`outage.py`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
-from tramstream.estimation.fixes import FAR_M, antenna_l, place_deg, unusable
+from tramstream.estimation.fixes import FAR_M, place_deg, unusable
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate, Learned, Verdict
 from tramstream.estimation.track import LocalTrack
 from tramstream.events import kinds
@@ -22,35 +21,26 @@ from tramstream.memory.stage import State, assign, from_plain, to_plain
 from tramstream.processors.tram.heading import Search
 from tramstream.processors.tram.liveness import Liveness
 from tramstream.processors.tram.localiser_memory import LocaliserMemory
+from tramstream.processors.tram.mounting_witness import RIGHT, WRONG, MountingWitness
 from tramstream.processors.tram.navigation import Navigation, Watcher
-from tramstream.processors.tram.outage import Parked, Silence
+from tramstream.processors.tram.observer import UNSEEN_MPS, Observer
+from tramstream.processors.tram.outage import Parked, Silence, first_fix_was_wrong
 from tramstream.processors.tram.predictor import Ahead
+from tramstream.processors.tram.unplaced import unplaced
 from tramstream.processors.tram_filter import estimate as estimates
 from tramstream.processors.tram_filter import events
-from tramstream.processors.tram_filter.filter import GYRO_Z, SPEED
 from tramstream.processors.tram_filter.modes import RUNNING, TRANSITIONS, Event, Phase
-from tramstream.processors.tram_sources.gnss import doubts, speed_over_ground
-from tramstream.proto.gnss_pb2 import GnssFix
-from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import ImuMean, SyncFrame
 
 SILENT_S = 0.5
 """Neither inertial nor wheel reading for so long: the sensors have fallen silent."""
 BLIND_S = 5.0
 """After such a silence the heading is sought anew: a tram turns by 45° in less."""
-UNSEEN_MPS = 15.0
-"""How fast a vehicle moves that nobody sees."""
 LATELY_S = 5.0
 """A vehicle whose wheels were found dead, and that was taken to stand so lately, has moved unseen;
 chosen by hand, guarded by `tests/processors/tram/test_liveness.py`."""
-HEARD_S = 0.5
-"""Wheels read within so long tell how far the vehicle has come."""
 BACK_S = 5.0
 """Time that goes on from an earlier instant for so long is a clock that was set back."""
-FAR_S = 10.0
-FAR_LATEST_S = 120.0
-"""Fixes far from where the ride began for so long, or for as long as the ride has lasted if that is
-between the two: it was the first fix that was wrong."""
 
 
 class TramLocaliser:
@@ -70,6 +60,8 @@ class TramLocaliser:
         self._silence = Silence(vehicle, memory.silence)
         self._ahead = Ahead(vehicle, memory.ahead)
         self._liveness = Liveness(vehicle.wheels.m_per_pulse, memory.liveness)
+        self._witness = MountingWitness(vehicle, memory.witness)
+        self._observer = Observer(memory, self._liveness, self._complaints)
 
     @property
     def level(self) -> LocalLevel | None:
@@ -98,7 +90,9 @@ class TramLocaliser:
         if stamp_ns >= memory.liveness.due_ns or memory.liveness.dead or frame.gnss:
             frame = self._leave_out(navigation, frame)
         self._detect_silence(navigation, frame)
-        standing = self._observe(navigation, frame, gap_s)
+        standing = self._observer.observe(navigation, frame, gap_s)
+        if memory.witness.judged is not RIGHT:
+            self._judge_mounting(navigation, frame, standing)
         noise = self._standstill.noise if memory.inertial else None
         if memory.phase is RUNNING:
             verdicts = navigation.run(frame, standing, noise)
@@ -115,7 +109,7 @@ class TramLocaliser:
         if navigation.fixes.diverged is not None:
             self._restart(navigation.fixes.diverged)
             return None
-        if memory.far_ns[0] and self._first_fix_was_wrong():
+        if memory.far_ns[0] and first_fix_was_wrong(memory.far_ns, memory.begun_ns):
             self._restart(events.BEGAN_ELSEWHERE(limit_m=FAR_M))
             return None
         if self._watcher is not None and memory.phase is RUNNING:
@@ -172,55 +166,17 @@ class TramLocaliser:
             return navigation
         return None
 
-    def _observe(self, navigation: Navigation, frame: SyncFrame, gap_s: float) -> bool:
-        """Read the sensors and tell whether the vehicle stands."""
+    def _judge_mounting(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> None:
+        """Leave an IMU out whose mounting turns out to be wrong."""
         memory = self.memory
-        memory.inertial = navigation.read(frame)
-        standstill = self._standstill
-        counted_m = 0.0
-        for reading in frame.odometry[:]:
-            counted_m += self._note_wheels(reading)
-        if counted_m:
-            self._liveness.roll(counted_m)
-        x, variances, stamp_ns = navigation.ekf.state, navigation.ekf.variances, memory.stamp_ns
-        running = memory.phase is RUNNING
-        speed, variance = (x[SPEED], variances[SPEED]) if running else (math.nan, 0.0)
-        u = navigation.reading if memory.inertial else None
-        standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, x[GYRO_Z])
-        if not standing:
-            heard = stamp_ns - memory.wheels_ns < HEARD_S * S
-            memory.way_m += counted_m if heard else UNSEEN_MPS * gap_s
-        for fix in frame.gnss[:]:
-            if fix.valid:
-                self._note_fix(navigation, fix)
-        return standing
-
-    def _note_wheels(self, reading: Odometry) -> float:
-        """How far the wheels have turned since the last reading, m."""
-        assert self._navigation is not None
-        turned = self._navigation.wheels.turned(reading)
-        if turned is None:
-            return 0.0
-        self._standstill.wheels(reading.stamp_ns, turned[0])
-        self.memory.wheels_ns = reading.stamp_ns
-        return abs(turned[1])
-
-    def _note_fix(self, navigation: Navigation, fix: GnssFix) -> None:
-        """Take note of a fix, apart from the filter."""
-        memory = self.memory
-        reason = unusable(fix, navigation.level)
-        if reason is not None:
-            self._complaints.append(reason)
-            if unusable(fix, None) is None:
-                memory.far_ns = (memory.far_ns[0] or fix.stamp_ns, fix.stamp_ns)
-            return
-        self._complaints += doubts(fix, navigation.level)
-        memory.far_ns = (0, 0)
-        std_m = navigation.accuracy_m(fix)
-        speed = speed_over_ground(fix, memory.last_fix, navigation.level, std_m)
-        if speed is not None:
-            self._standstill.speed_over_ground(fix.stamp_ns, speed)
-        memory.last_fix, memory.way_m = fix, 0.0
+        found = self._witness.step(frame, standing)
+        if memory.witness.judged is WRONG:
+            navigation.leave_imu_out(True)
+            memory.inertial = False
+        if found is not None:
+            self._complaints.append(found)
+            if not standing and memory.phase is not Phase.RESTING:
+                self._seek_anew(navigation, Event.MOUNTING_WRONG, 0.0)
 
     # Without a heading ---------------------------------------------------------------------------
     def _align(self, navigation: Navigation, frame: SyncFrame, standing: bool) -> list[Verdict]:
@@ -311,12 +267,6 @@ class TramLocaliser:
         self._restart(events.SET_BACK(back_s=back_s))
         return True
 
-    def _first_fix_was_wrong(self) -> bool:
-        """Whether the first fix was wrong, by all that came later."""
-        first_ns, last_ns = self.memory.far_ns
-        before_s = (first_ns - self.memory.begun_ns) / S
-        return last_ns - first_ns > max(FAR_S, min(before_s, FAR_LATEST_S)) * S
-
     # What comes out ------------------------------------------------------------------------------
     def _estimate(
         self, navigation: Navigation, standing: bool, verdicts: list[Verdict]
@@ -331,25 +281,16 @@ class TramLocaliser:
                 estimates.doubt(estimate.values, way_m, mps)
         if running:
             return estimate
-        fix = memory.last_fix
-        if fix is None or (standing and self._search is None):
-            return estimates.without_heading(estimate, self._lever_arm_m)
-        if self._search is not None and self._search.trying:
-            return estimates.without_heading(estimate, self._lever_arm_m, of_antenna=False)
-        speed_mps = self._standstill.speed_over_ground_mps
-        std_m, std_up_m = (math.hypot(a, memory.way_m) for a in navigation.accuracies_m(fix))
-        age_s = (memory.stamp_ns - fix.stamp_ns) / S
-        antenna = antenna_l(fix, navigation.level)
-        return estimates.at_fix(
-            estimate, antenna, (std_m, std_up_m), speed_mps, min(age_s, 2.0), self._lever_arm_m
-        )
+        given = memory, navigation, self._search, standing, self._lever_arm_m
+        return unplaced(estimate, *given)
 
     def follow(self, track: LocalTrack) -> bool:
         navigation, running = self._navigation, self.memory.phase is RUNNING
         return navigation is not None and running and navigation.follow(track)
 
     def see(self, mean: ImuMean) -> None:
-        self._ahead.append(mean)
+        if self.memory.witness.judged is not WRONG:
+            self._ahead.append(mean)
 
     def ahead(self) -> Estimate | None:
         memory, navigation = self.memory, self._navigation
@@ -365,7 +306,8 @@ class TramLocaliser:
         return [] if self._navigation is None else self._navigation.learned()
 
     def complaints(self) -> list[kinds.Event]:
-        found, self._complaints = self._complaints, []
+        found = self._complaints.copy()
+        self._complaints.clear()
         return found
 
     # Memory --------------------------------------------------------------------------------------
@@ -387,6 +329,8 @@ class TramLocaliser:
         assign(own, memory)
         if begun is not None and kept is not None:
             begun.go_back(kept)
+            if self._witness.restored():
+                begun.leave_imu_out(False)
             if own.search is not None:
                 self._search = Search(begun, None, own.search)
 

@@ -8,7 +8,8 @@ from tramstream.estimation.localiser import Estimate
 from tramstream.geodesy import LocalLevel
 from tramstream.processors.tram.heading import SearchMemory
 from tramstream.processors.tram.liveness import LivenessMemory
-from tramstream.processors.tram.navigation import NavigationMemory
+from tramstream.processors.tram.mounting_witness import WitnessMemory
+from tramstream.processors.tram.navigation_memory import NavigationMemory
 from tramstream.processors.tram.outage import Parked, SilenceMemory
 from tramstream.processors.tram.predictor import AheadMemory
 from tramstream.processors.tram.standstill import Standstill
@@ -27,6 +28,7 @@ class LocaliserMemory:
     silence: SilenceMemory = field(default_factory=SilenceMemory)
     ahead: AheadMemory = field(default_factory=AheadMemory)
     liveness: LivenessMemory = field(default_factory=LivenessMemory)
+    witness: WitnessMemory = field(default_factory=WitnessMemory)
     parked: Parked | None = None
     phase: Phase = Phase.WAITING
     heard_ns: int = 0

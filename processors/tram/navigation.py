@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, Protocol
 
@@ -15,19 +14,21 @@ from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.estimation.kalman import Array
-from tramstream.estimation.localiser import (
-    Learned,
-    Verdict,
-)
-from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail, TrailMemory
+from tramstream.estimation.localiser import Learned, Verdict
+from tramstream.estimation.track import LocalTrack, OnTrack, Pose, Trail
 from tramstream.events.kinds import Event
 from tramstream.geodesy import LocalLevel, normal_gravity_mps2
 from tramstream.memory.stage import assign, copied
+from tramstream.processors.tram.navigation_memory import NavigationMemory
 from tramstream.processors.tram_filter.estimate import learned
 from tramstream.processors.tram_filter.events import ASTRAY
-from tramstream.processors.tram_filter.filter import FilterMemory, TramFilter
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_filter.modes import RUNNING, published_mode
-from tramstream.processors.tram_filter.start import first_deviations
+from tramstream.processors.tram_filter.start import (
+    PITCH_STD_RAD,
+    ROLL_STD_RAD,
+    first_deviations,
+)
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
@@ -35,16 +36,15 @@ from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
 from tramstream.processors.tram_model.vertical_constraint import VerticalConstraint
 from tramstream.processors.tram_model.zero_angular_rate import ZeroAngularRate
-from tramstream.processors.tram_sources.course import Course, CourseMemory
-from tramstream.processors.tram_sources.divergence import Divergence, DivergenceMemory, Heard
-from tramstream.processors.tram_sources.gnss import Fixes, FixesMemory
+from tramstream.processors.tram_sources.course import Course
+from tramstream.processors.tram_sources.divergence import Divergence, Heard
+from tramstream.processors.tram_sources.gnss import Fixes
 from tramstream.processors.tram_sources.readings import (
     BELIEVED,
+    FOR_GOOD_NS,
     FOUND_STUCK,
     Readings,
-    ReadingsMemory,
 )
-from tramstream.processors.tram_sources.wheel import PairMemory
 from tramstream.processors.tram_sources.wheels import WheelPair
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.sync_pb2 import SyncFrame
@@ -53,6 +53,8 @@ LEAVING_STD_MPS = 0.01
 """Speed that standing may hide in its last moment, with wheels; chosen by hand."""
 BLIND_LEAVING_STD_MPS = 0.3
 """The same speed without wheels; chosen by hand."""
+ALONE_LEAVING_STD_MPS = 1.5
+"""The same where nothing but places of fixes tells: a second's worth of it; chosen by hand."""
 SURE_MPS, SURE_SIGMA = 1.0, 4.0
 """Least speed that the filter is sure of, less so many deviations; chosen by hand."""
 ASTRAY_NS = S // 2
@@ -83,27 +85,6 @@ class Watcher(Protocol):
 
     def restarted(self) -> None:
         """Learn that there is another navigation from here on."""
-
-
-@dataclass
-class NavigationMemory:
-    """What a `Navigation` remembers."""
-
-    filter: FilterMemory
-    readings: ReadingsMemory
-    wheels: PairMemory = field(default_factory=PairMemory)
-    fixes: FixesMemory = field(default_factory=FixesMemory)
-    course: CourseMemory = field(default_factory=CourseMemory)
-    divergence: DivergenceMemory = field(default_factory=DivergenceMemory)
-    contradicted: bool = False
-    """Whether several sources have contradicted the filter in this frame."""
-    stood: bool = False
-    """Whether the vehicle stood in the last frame."""
-    trail: TrailMemory = field(default_factory=TrailMemory)
-    given: list[Verdict] = field(default_factory=list)
-    """Verdicts on what was taken since the last frame."""
-    watched: int = 0
-    """By which number a watcher finds the place again, where there is one."""
 
 
 class Navigation:
@@ -274,6 +255,31 @@ class Navigation:
             self.wheels.back(fix.stamp_ns)
         self._doubt(self._divergence.after_fix(self.ekf, self.wheels, heard), heard)
         return verdicts
+
+    def catch_up(self, way: complex, velocity: complex) -> None:
+        """Go where a vehicle has gone that was taken to stand, and whose fixes alone tell.
+
+        `way` and `velocity` are to the east and, imaginary, to the north.
+        """
+        ekf, yaw = self.ekf, self.ekf.state[Ix.YAW]
+        ekf.shift(Ix.EAST, way.real)
+        ekf.shift(Ix.NORTH, way.imag)
+        ekf.shift(Ix.GNSS_EAST, -way.real)
+        ekf.shift(Ix.GNSS_NORTH, -way.imag)
+        ahead = velocity.real * math.cos(yaw) + velocity.imag * math.sin(yaw)
+        ekf.reset(Ix.SPEED, max(ahead, 0.0), ALONE_LEAVING_STD_MPS)
+
+    def leave_imu_out(self, for_good: bool) -> None:
+        """Do without the IMU for good, whose mounting is wrong, or take it up again."""
+        memory, ekf = self.memory, self.ekf
+        until_ns = FOR_GOOD_NS if for_good else 0
+        if memory.readings.out_ns == until_ns:
+            return
+        self.readings.leave_out(ekf, until_ns)
+        memory.divergence.out_ns = until_ns
+        for angle, std in ((Ix.ROLL, ROLL_STD_RAD), (Ix.PITCH, PITCH_STD_RAD)):
+            ekf.reset(angle, 0.0, std)
+        self.doubt()
 
     def doubt(self) -> None:
         """Doubt what has moved unseen: attitude, biases, slips."""

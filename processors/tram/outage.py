@@ -18,7 +18,8 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import antenna_l, unusable
 from tramstream.events.kinds import Event
-from tramstream.processors.tram.navigation import Navigation, NavigationMemory
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation_memory import NavigationMemory
 from tramstream.processors.tram_filter.events import NO_FIX, NO_IMU, NO_WHEELS, SLIPPING
 from tramstream.processors.tram_model.states import Ix
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -37,6 +38,12 @@ ROLLED_PULSES = 3
 SAME_PLACE_M = 10.0
 SAME_PLACE_SIGMA = 4.0
 """A fix no further away than this is of the same place: the track leads one way there."""
+
+
+FAR_S = 10.0
+FAR_LATEST_S = 120.0
+"""Fixes far from where the ride began for so long, or for as long as the ride has lasted if that is
+between the two: it was the first fix that was wrong."""
 
 
 @dataclass
@@ -138,3 +145,18 @@ class Parked:
         navigation.ekf.rest((stamp_ns - self._navigation.filter.stamp_ns) / S)
         navigation.fixes.renew(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)
+
+
+def first_fix_was_wrong(far_ns: tuple[int, int], begun_ns: int) -> bool:
+    """Whether the first fix of a ride was wrong, by all that came later.
+
+    Parameters
+    ----------
+    far_ns : tuple of 2 int
+        First and last of those fixes in a row that are far away.
+    begun_ns : int
+        When the ride began.
+    """
+    first_ns, last_ns = far_ns
+    before_s = (first_ns - begun_ns) / S
+    return last_ns - first_ns > max(FAR_S, min(before_s, FAR_LATEST_S)) * S

@@ -51,6 +51,14 @@ RUN_S = 3.0
 """Without wheels, a vehicle that has left does not stand again before this: at walking pace its
 shaking is still that of standing."""
 GNSS_AGE_S = 2.5
+PLACES_S, LEAST_PLACES_S = 3.0, 2.5
+"""Where nothing but places of fixes tells, so much time is looked at; chosen by hand."""
+SAME_PLACE_M, LEFT_M = 0.8, 1.5
+"""A vehicle whose fixes are no further apart stands, until one is further from where it was when
+that was seen. An error of 0.5 m on an axis that lasts 20 s moves by the first of these in 3 s once
+in eighty times; chosen by hand, guarded by `tests/processors/tram/test_fixes_alone.py`."""
+STEP_S, STEP_M = 0.75, 0.6
+"""It has left, too, when fixes that are so far apart in time are so far apart; chosen by hand."""
 UNSEEN_M = 2.0
 """Way on which a vehicle reaches `RUNNING_MPS`, at 1 m/s²; chosen by hand."""
 
@@ -162,6 +170,10 @@ class Standstill:
     _gnss_ns: int = 0
     _fast_ns: int = 0
     """Since when that has been fast."""
+    _places: list[tuple[int, float, float]] = field(default_factory=list)
+    """Of fixes that nothing else tells of the motion beside: stamp, east, north."""
+    _place: tuple[float, float] = (0.0, 0.0)
+    """Where the vehicle was seen to stand by them."""
     noise: Array = field(init=False)
     """Variance of rates and specific forces in the last moments, shape (6,)."""
 
@@ -200,6 +212,43 @@ class Standstill:
             self._fast_ns = stamp_ns
         self._gnss_mps, self._gnss_ns = speed_mps, stamp_ns
 
+    def place(self, stamp_ns: int, east_m: float, north_m: float) -> None:
+        """Take the place of a fix, where nothing else tells of the motion."""
+        places = self._places
+        places.append((stamp_ns, east_m, north_m))
+        while stamp_ns - places[0][0] > PLACES_S * S:
+            del places[0]
+
+    def gone(self) -> tuple[complex, complex]:
+        """Way of the places since it was surely standing, and velocity of their last step."""
+        if not self._places:
+            return 0j, 0j
+        stamp_ns, east, north = self._places[-1]
+        before_ns, before_east, before_north = self._before(stamp_ns)
+        step = complex(east - before_east, north - before_north)
+        velocity = step * S / (stamp_ns - before_ns) if stamp_ns > before_ns else 0j
+        return complex(east - self._places[0][1], north - self._places[0][2]), velocity
+
+    def _before(self, stamp_ns: int) -> tuple[int, float, float]:
+        """The last place that is a step older."""
+        older = (each for each in reversed(self._places) if stamp_ns - each[0] >= STEP_S * S)
+        return next(older, self._places[0])
+
+    def _by_places(self, stamp_ns: int) -> bool:
+        """Whether fixes have stayed where they are."""
+        places = self._places
+        if not places or stamp_ns - places[-1][0] > GNSS_AGE_S * S:
+            return False
+        newest_ns, east, north = places[-1]
+        if self.standing:
+            _, before_east, before_north = self._before(newest_ns)
+            stepped_m = math.hypot(east - before_east, north - before_north)
+            off_m = math.hypot(east - self._place[0], north - self._place[1])
+            return stepped_m < STEP_M and off_m < LEFT_M
+        stays = all(math.hypot(e - east, n - north) < SAME_PLACE_M for _, e, n in places)
+        self._place = east, north
+        return stays and newest_ns - places[0][0] >= LEAST_PLACES_S * S
+
     def step(
         self,
         stamp_ns: int,
@@ -227,6 +276,8 @@ class Standstill:
             self._read(stamp_ns, u, dt_s, speed_mps, bias_z)
         if stamp_ns - self._wheel_ns < WHEELS_STILL_S * S and self._wheel_ns:
             standing = self._by_wheels(stamp_ns, speed_mps, speed_variance)
+        elif u is None and self._places:
+            standing = self._by_places(stamp_ns)
         else:
             standing = u is not None and stamp_ns - self._quiet_ns > STILL_S * S
             if standing and not self.standing and self.since_ns:

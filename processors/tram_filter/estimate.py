@@ -27,6 +27,8 @@ EAST_VARIANCE, NORTH_VARIANCE, SPEED_VARIANCE = (
     COVARIANCE + int(state) * 8 for state in (Ix.EAST, Ix.NORTH, Ix.SPEED)
 )
 """In the values of an estimate, whose covariance has seven columns."""
+STEEPEST = 0.09
+"""Grade of the steepest tramways, by which heights change on a way that is not known; by hand."""
 NO_HEADING_STD_RAD = math.pi / math.sqrt(3.0)
 """Of an angle that may be any."""
 
@@ -79,7 +81,7 @@ def without_heading(
     said = replace(estimate, values=estimate.values.copy())
     motion, covariance = said.motion, said.covariance
     x, y, z = lever_arm_m
-    covariance[:2, :2] += np.eye(2) * (x * x + y * y)
+    covariance[:2, :2] += np.eye(2) * (0.5 * (x * x + y * y))  # anywhere on a circle
     if of_antenna:
         motion[Ix.UP] -= z
     motion[Ix.YAW] = said.values[ACCELERATION] = said.values[YAW_RATE] = 0.0
@@ -93,21 +95,49 @@ def at_fix(
     p_l: tuple[float, float, float],
     stds_m: tuple[float, float],
     speed_mps: float,
-    age_s: float,
     lever_arm_m: Sequence[float],
 ) -> Estimate:
-    """Say of a vehicle that moves, with its heading unknown: where the last fix was.
+    """Say of a vehicle that moves, with its heading unknown: where its antenna is by the last fix.
 
-    `stds_m` are the fix's deviations, of each horizontal axis and of the height.
+    `stds_m` are the deviations of that, of each horizontal axis and of the height.
     """
     moved = without_heading(estimate, lever_arm_m)
     covariance = moved.covariance
     x, y, z = lever_arm_m
     moved.motion[:4] = (p_l[0], p_l[1], p_l[2] - z, speed_mps)
     covariance[:4, :] = covariance[:, :4] = 0.0
-    way_m2 = (speed_mps * age_s) ** 2
-    level, upright = stds_m[0] ** 2 + way_m2 + x * x + y * y, stds_m[1] ** 2 + way_m2
-    covariance[:4, :4] = np.diag([level, level, upright, max(1.0, speed_mps) ** 2])
+    level = stds_m[0] ** 2 + 0.5 * (x * x + y * y)
+    covariance[:4, :4] = np.diag([level, level, stds_m[1] ** 2, max(1.0, speed_mps) ** 2])
+    return moved
+
+
+def on_way(
+    estimate: Estimate,
+    way: complex,
+    variance_m2: float,
+    velocity: complex,
+    lever_arm_m: Sequence[float],
+) -> Estimate:
+    """Say of a vehicle that moves, with its heading unknown: how far it is from where it stood.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Of the stand.
+    way, velocity : complex
+        To the east and, imaginary, to the north, m and m/s.
+    variance_m2 : float
+        Of the way, either axis.
+    """
+    moved = without_heading(estimate, lever_arm_m)
+    covariance, speed_mps = moved.covariance, abs(velocity)
+    moved.motion[Ix.EAST] += way.real
+    moved.motion[Ix.NORTH] += way.imag
+    moved.motion[Ix.SPEED] = speed_mps
+    covariance[:2, :2] += np.eye(2) * variance_m2
+    covariance[2, 2] += (STEEPEST * abs(way)) ** 2
+    covariance[Ix.SPEED, :] = covariance[:, Ix.SPEED] = 0.0
+    covariance[Ix.SPEED, Ix.SPEED] = max(1.0, speed_mps) ** 2
     return moved
 
 

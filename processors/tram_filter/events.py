@@ -283,6 +283,20 @@ IMU_CONTRADICTED = define(
     within_s=float,
     left_out_s=float,
 )
+MOUNTING_WRONG = define(
+    "tram.mounting_wrong",
+    "{key}: the IMU's case is {off_deg} off how it is configured, limit {limit_deg}; the IMU is "
+    "left out",
+    cause="Gravity at a stand, or the force of driving against the wheels, comes from elsewhere "
+    "than $.imu.mounting_deg says, by more than the filter learns. It goes on with fixes and "
+    "wheels.",
+    cure="set $.imu.mounting_deg as configuration_check.mounting_tilted or "
+    "configuration_check.mounting_turned say",
+    severity=ERROR,
+    key=str,
+    off_deg=float,
+    limit_deg=float,
+)
 POSITION_TAKEN = define(
     "tram.position_taken",
     "{key}: the position was {away_m} from the fixes for {lasted_s}; it is taken from them again",

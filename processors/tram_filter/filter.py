@@ -327,6 +327,11 @@ class TramFilter:
         return float(wheel_path.shown(self.memory, self._s, wheel))
 
     # The situation -------------------------------------------------------------------------------
+    @property
+    def heading_known(self) -> bool:
+        """Whether the state has a heading; without one its position is the antenna's."""
+        return bool(self.situation["heading_known"][0])
+
     def set_heading(self, yaw_rad: float, std_rad: float) -> None:
         """Set the heading; the position, until now the antenna's, becomes the pivot's."""
         self.reset(Ix.YAW, yaw_rad, std_rad)

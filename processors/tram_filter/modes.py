@@ -61,6 +61,7 @@ class Event(Enum):
     PARKED_RESUMED = "a parked vehicle has not moved"
     CONTRADICTED = "several sources contradict the filter"
     WHEELS_LIED = "it moved while all wheels stood"
+    MOUNTING_WRONG = "the IMU is mounted otherwise than configured"
     RESTART = "the filter begins anew"
 
 
@@ -75,6 +76,8 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
         (Phase.RUNNING, Event.SENSORS_SILENT): Phase.RESTING,
         (Phase.RUNNING, Event.CONTRADICTED): Phase.RUNNING,
         **{(phase, Event.WHEELS_LIED): Phase.RESTING for phase in _PLACED},
+        (Phase.SEEKING, Event.MOUNTING_WRONG): Phase.RESTING,
+        (Phase.RUNNING, Event.MOUNTING_WRONG): Phase.RESTING,
         **{(phase, Event.PARKED_RESUMED): Phase.RUNNING for phase in _PLACED},
         **{(phase, Event.RESTART): Phase.WAITING for phase in Phase},
     }

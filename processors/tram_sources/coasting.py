@@ -40,6 +40,8 @@ class NoiseMemory:
     """What `MotionNoise` remembers."""
 
     drive: Drive = Drive.INERTIAL
+    without_imu: bool = False
+    """Whether the IMU is left out for good: what follows is no pause."""
 
 
 class MotionNoise:
@@ -83,7 +85,7 @@ class MotionNoise:
 
     def coast(self, ekf: TramFilter) -> None:
         """Go on with nothing that tells of the motion."""
-        if not self._has_imu:
+        if not self._has_imu or self.memory.without_imu:
             turning = YAW_STD_RAD_RTM * YAW_STD_RAD_RTM * abs(ekf.state[SPEED])
             self._coasting[-1] = turning + YAW_FLOOR_RAD_RTS * YAW_FLOOR_RAD_RTS
         self._tell(ekf, Drive.COASTING, self._coasting)

@@ -42,10 +42,8 @@ UNSEEN, SEEN = 2.0, 0.9
 is so many times what is missing: in streets receivers are too sure of themselves; by hand."""
 LEAST_SHARE = 0.1
 """Of the stated variance that is always taken to change within the correlation time; by hand."""
-SLOW_SHARE = 0.15
+SLOW_SHARE = 0.03
 """Of the variance that is always taken to last for minutes; chosen by hand."""
-SLOW_TAU_S = 600.0
-"""For so long a slow error lasts: ionosphere, orbits, base station; chosen by hand."""
 LARGEST = 1000.0
 """No receiver is believed to boast by more than this in variance; chosen by hand."""
 ASTRAY = 0.5

@@ -22,7 +22,12 @@ from tramstream.processors.tram_filter.events import RECEIVER_BOASTS
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
-from tramstream.processors.tram_sources.fix_error import SLOW_TAU_S, FixError, FixErrorMemory
+from tramstream.processors.tram_sources.fix_error import FixError, FixErrorMemory
+from tramstream.processors.tram_sources.slow_fix_error import (
+    SLOW_TAU_S,
+    SlowFixError,
+    SlowFixErrorMemory,
+)
 from tramstream.proto.gnss_pb2 import GnssFix
 
 _KEY = keys.GNSS_FIX.path
@@ -46,6 +51,8 @@ more. Beyond, every fix would be accepted and none would tell anything; chosen b
 BOAST = 3.0
 """A receiver that errs by so many times what it states is said to boast; until it is half of that.
 Chosen by hand, guarded by `test_receiver_that_boasts_tenfold_is_said_and_weighed`."""
+WAY_S = 10.0
+"""For so long the way errs by the same speed, across by that of the heading; chosen by hand."""
 STEP = 1.1
 """What is learned of the error is told to the filter when it is off by this factor; by hand."""
 
@@ -65,6 +72,14 @@ class FixNoiseMemory:
     boasts: bool = False
     """Whether the receiver has been said to."""
     learned: FixErrorMemory = field(default_factory=FixErrorMemory)
+    slow: SlowFixErrorMemory = field(default_factory=SlowFixErrorMemory)
+    fix_ns: int = 0
+    """Of the last fix."""
+    moved_east_m: float = 0.0
+    """How far fixes have moved the place, all together."""
+    moved_north_m: float = 0.0
+    way_m2: float = 0.0
+    """Variance of the way since the slow error was looked at."""
 
 
 class FixNoise:
@@ -82,6 +97,7 @@ class FixNoise:
         self._tau_s, self._floor_m = tau_s, floor_m
         self.memory = memory
         self._learned = FixError(tau_s, memory.learned)
+        self._slow = SlowFixError(tau_s, memory.slow)
 
     def deviations(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of each horizontal axis and of the height, as far as it is known."""
@@ -103,6 +119,12 @@ class FixNoise:
     def restart(self) -> None:
         """Compare errors of the fixes anew: the place was taken for another one until here."""
         self._learned.forget()
+        self._slow.forget()
+
+    @property
+    def _slow_share(self) -> float:
+        """Variance of what lasts for minutes, over the stated one."""
+        return max(self._learned.slow, self._slow.slow)
 
     def set(self, ekf: TramFilter, std: float, std_up: float) -> None:
         """Let the error be what it is taken for at a fix of the stated deviations."""
@@ -116,7 +138,7 @@ class FixNoise:
             self._renew_slow_error(ekf, std)
             memory.std_m = std
         self._set_fast_error(ekf)
-        self._set_slow_error(ekf, memory.std_m * math.sqrt(learned.slow))
+        self._set_slow_error(ekf, memory.std_m * math.sqrt(self._slow_share))
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
         heavy = _bounded((east * east + north * north) / (usual * usual), max(fast, std))
@@ -129,7 +151,7 @@ class FixNoise:
     def _renew_slow_error(self, ekf: TramFilter, std: float) -> None:
         """Let the slow error be that of another accuracy: a better one has its own."""
         memory, before_m = self.memory, self.memory.slow_m
-        memory.slow_m = std * math.sqrt(max(self._learned.slow, 1.0))
+        memory.slow_m = std * math.sqrt(max(self._slow_share, 1.0))
         for state in (Ix.GNSS_SLOW_EAST, Ix.GNSS_SLOW_NORTH):
             if memory.slow_m > before_m > 0.0:
                 ekf.widen(state, math.sqrt(memory.slow_m**2 - before_m**2))
@@ -169,17 +191,49 @@ class FixNoise:
             self._learned.see_across(ekf.stamp_ns, across_m, variance_m2, self.memory.std_m)
 
     def learn(
-        self, stamp_ns: int, ekf: TramFilter, verdicts: list[Verdict], std: float
+        self,
+        stamp_ns: int,
+        ekf: TramFilter,
+        verdicts: list[Verdict],
+        std: float,
+        moved_m: tuple[float, float],
     ) -> list[Event]:
-        """Learn of the error that the fix has by the filter's place; gives what there is to say."""
+        """Learn of the error that the fix has by the filter's place; gives what there is to say.
+
+        Parameters
+        ----------
+        moved_m : tuple of 2 float
+            How far the fix has moved the place, to the east and to the north.
+        """
         east, north = error_of_fixes(ekf)
         if not verdicts[0].accepted:  # else the error's state has it
             east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
         self._learned.see(stamp_ns, east, north, std)
+        self._learn_drift(stamp_ns, ekf, (east, north), std, moved_m)
         memory, times = self.memory, self._learned.scale
         boasts = times > (BOAST / 2.0 if memory.boasts else BOAST)
         said, memory.boasts = memory.boasts or not boasts, boasts
         return [] if said else [RECEIVER_BOASTS(key=_KEY, times=times, stated_m=std)]
+
+    def _learn_drift(
+        self,
+        stamp_ns: int,
+        ekf: TramFilter,
+        error_m: tuple[float, float],
+        std: float,
+        moved_m: tuple[float, float],
+    ) -> None:
+        """Learn of how the fixes drift against the way that no fix has moved."""
+        memory, x, variances = self.memory, ekf.state, ekf.variances
+        dt_s = (stamp_ns - memory.fix_ns) / S if memory.fix_ns else 0.0
+        memory.fix_ns = stamp_ns
+        memory.moved_east_m += moved_m[0]
+        memory.moved_north_m += moved_m[1]
+        across = x[Ix.SPEED] * x[Ix.SPEED] * variances[Ix.YAW]
+        memory.way_m2 += WAY_S * dt_s * (across + variances[Ix.SPEED])
+        drift_m = error_m[0] + memory.moved_east_m, error_m[1] + memory.moved_north_m
+        if self._slow.see(stamp_ns, *drift_m, std, memory.way_m2):
+            memory.way_m2 = 0.0
 
 
 def _bounded(heavy: float, std: float) -> float:

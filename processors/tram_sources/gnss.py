@@ -44,6 +44,7 @@ from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.measurement import PAIR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_sources.divergence import Heard, Offset
+from tramstream.processors.tram_sources.first_place import FirstPlace, FirstPlaceMemory, Level
 from tramstream.processors.tram_sources.fix_noise import (
     HEAVY_SIGMA,
     WHITE_FLOOR_M,
@@ -131,6 +132,7 @@ class FixesMemory:
     """What `Fixes` remember."""
 
     noise: FixNoiseMemory = field(default_factory=FixNoiseMemory)
+    first: FirstPlaceMemory = field(default_factory=FirstPlaceMemory)
     refused_ns: int = 0
     """Since when; 0 if the last was taken."""
     jumped_ns: int = 0
@@ -165,6 +167,7 @@ class Fixes:
         self.tau_s = gnss.error_tau_s if gnss else 20.0
         self.memory = FixesMemory() if memory is None else memory
         self.noise = FixNoise(self.tau_s, self.floor_m, self.memory.noise)
+        self._first = FirstPlace(self.tau_s, self.memory.first)
         self.heard: Heard | None = None
         """What became of the last fix, for whoever judges the filter at once."""
 
@@ -194,20 +197,27 @@ class Fixes:
         closeness = crowded(fix.stamp_ns - memory.last_ns)
         white = closeness * max(WHITE_SHARE * std, WHITE_FLOOR_M) ** 2
         white_up = closeness * max(WHITE_SHARE * std_up, WHITE_FLOOR_M) ** 2
+        east, north = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
         verdicts = ekf.apply(GnssPosition(z[0], z[1], white))
+        moved_m = ekf.state[Ix.EAST] - east, ekf.state[Ix.NORTH] - north
         found: list[Event] = []
         refused = not verdicts[0].accepted
         if refused:
             off_m, limit_m = _refused(ekf, DOUBT_STD_M**2)
             facts = {"gate_sigma": math.sqrt(PAIR_GATE), "accuracy_m": fix.horizontal_std_m}
             found.append(FIX_REFUSED(key=_KEY, innovation_m=off_m, limit_m=limit_m, **facts))
-        found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std)
+        found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std, moved_m)
         if measures_height(fix):
             verdicts += ekf.apply(GnssHeight(z[2], white_up))
             if not verdicts[2].accepted:
                 self._absorb_height(ekf, verdicts[2].innovation, std_up)
+        resting = standing and not ekf.heading_known
+        if resting:
+            found += self._rest(fix.stamp_ns, z, ekf, refused)
+        elif self.memory.first.levels:
+            self._first.forget()
         if refused:
-            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, self.noise.std_m)
+            found += self._refuse(fix.stamp_ns, off_m, verdicts, ekf, resting)
         else:
             if memory.jumped_ns:
                 lasted_s = (fix.stamp_ns - memory.jumped_ns) / S
@@ -218,7 +228,7 @@ class Fixes:
             measured = None
         velocity, accepted = None, False
         if measured is not None:
-            std_mps = _velocity_std(fix)
+            std_mps = velocity_std(fix)
             taken = ekf.apply(GnssVelocity(*measured, closeness * std_mps * std_mps))
             verdicts += taken
             accepted = taken[0].accepted
@@ -237,28 +247,48 @@ class Fixes:
         self.heard = Heard(fix.stamp_ns, std_m, refused, innovation_m, velocity, accepted)
         return verdicts, found
 
+    def _rest(
+        self, stamp_ns: int, z: tuple[float, float, float], ekf: TramFilter, refused: bool
+    ) -> list[Event]:
+        """Let a vehicle that has not moved yet be where its fixes have been for longest."""
+        std, last_ns = self.noise.std_m, self.memory.last_ns
+        if not self.memory.first.levels:  # the vehicle is believed to be somewhere already
+            here = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
+            last = here if refused else (z[0], z[1])
+            lasted_s = (last_ns - self.memory.begun_ns) / S if last_ns else 0.0
+            self._first.begin(Level(*here, *last, last_ns or stamp_ns, lasted_s))
+        place = self._first.take(stamp_ns, z[0], z[1], std)
+        if place is None:
+            return []
+        east, north = place[0] - ekf.state[Ix.EAST], place[1] - ekf.state[Ix.NORTH]
+        away_m = math.hypot(east, north)
+        self._move(ekf, east, north, std)
+        ekf.set_states(Ix.GNSS_EAST, (z[0] - place[0], z[1] - place[1]))
+        self.memory.refused_ns = 0
+        return [FIRST_FIXES_WRONG(key=_KEY, away_m=away_m)]
+
     def _refuse(
-        self, stamp_ns: int, off_m: float, verdicts: list[Verdict], ekf: TramFilter, std: float
+        self, stamp_ns: int, off_m: float, verdicts: list[Verdict], ekf: TramFilter, resting: bool
     ) -> list[Event]:
         """Find out whose fault a refused fix is: of one that has jumped, its own."""
-        memory = self.memory
+        memory, std = self.memory, self.noise.std_m
         followed_s = (stamp_ns - memory.begun_ns) / S
         if memory.refused_ns == 0 and off_m > JUMP_M and followed_s > JUMP_TRUST_S:
             pause_s = (stamp_ns - memory.accepted_ns) / S
             memory.jumped_ns = stamp_ns if pause_s < JUMP_PAUSE_S else 0
         if memory.jumped_ns == 0:
-            return self._absorb(stamp_ns, verdicts, ekf, std)
+            return self._absorb(stamp_ns, verdicts, ekf, std, resting)
         lasted_s = (stamp_ns - memory.jumped_ns) / S
         if lasted_s > min(followed_s - lasted_s, JUMP_HELD_S):
             memory.jumped_ns = 0
-            return self._absorb(stamp_ns, verdicts, ekf, std)
+            return self._absorb(stamp_ns, verdicts, ekf, std, resting)
         memory.refused_ns = stamp_ns
         if lasted_s < JUMP_SAID_S:
             return []
         return [FIXES_JUMPED(key=_KEY, off_m=off_m, limit_m=JUMP_M, lasted_s=lasted_s)]
 
     def _absorb(
-        self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float
+        self, stamp_ns: int, verdicts: list[Verdict], ekf: TramFilter, std: float, resting: bool
     ) -> list[Event]:
         memory = self.memory
         memory.refused_ns = memory.refused_ns or stamp_ns
@@ -267,7 +297,7 @@ class Fixes:
         young = memory.refused_ns - memory.begun_ns < ABSORB_S * S
         refused_s, memory.refused_ns = (stamp_ns - memory.refused_ns) / S, 0
         east, north = (verdict.innovation for verdict in verdicts[:2])
-        if young:
+        if young and not resting:
             error = error_of_fixes(ekf)
             self._move(ekf, error[0] + east, error[1] + north, std)
             away_m = math.hypot(error[0] + east, error[1] + north)
@@ -349,6 +379,7 @@ class Fixes:
         return [POSITION_TAKEN(key=_KEY, away_m=error, lasted_s=lasted_s)]
 
 
-def _velocity_std(fix: GnssFix) -> float:
+def velocity_std(fix: GnssFix) -> float:
+    """Deviation of the receiver's velocity on each axis, m/s."""
     std = fix.speed_std_mps
     return max(std, VELOCITY_FLOOR_MPS) if 0.0 < std < FASTEST_MPS else VELOCITY_STD_MPS

@@ -47,6 +47,8 @@ beside what it has told; chosen by hand, guarded by `tests/processors/tram/test_
 AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
+FOR_GOOD_NS = 1 << 62
+"""An instant that no ride sees; chosen by hand."""
 ABSENT, BELIEVED, FOUND_STUCK, DRAWN = range(4)
 """What became of a frame's inertial reading: none or not believed, taken, just found stuck, drawn
 through a gap. Plain numbers, for it is asked a hundred times a second."""
@@ -116,6 +118,7 @@ class Readings:
     def leave_out(self, ekf: TramFilter, until_ns: int) -> None:
         """Do without the IMU until then."""
         self.memory.out_ns = until_ns
+        self.memory.noise.without_imu = until_ns == FOR_GOOD_NS
         self._coast(ekf)
 
     def _read_imu(self, mean: ImuMean, ekf: TramFilter) -> int:

@@ -23,6 +23,7 @@ from tramstream.processors.consistency import events
 from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.simulation import scenario
+from tramstream.simulation.body import Body
 from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 
@@ -33,6 +34,7 @@ DURATION_S = STOOD_S + 60.0
 FIRST_STOP_S = 5.0
 DEPARTURE_S = 20.0
 """A departure takes ten seconds; so much after it its force is judged."""
+BOGIES_M = 6.4
 WAITED_S = 35.0
 """The scale is said once the force has had time to bear witness."""
 EVENT = keys.EVENT.at("configuration_check")
@@ -276,6 +278,21 @@ def test_antenna_that_is_elsewhere_is_said_after_the_curves(ahead_m: float, left
 
 
 # Again --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bogies_that_nobody_has_configured_are_said_after_the_curves(seed: int) -> None:
+    """Midway between two bogies is what does not slip: the antenna is that much further ahead."""
+    stiff = Body(pivots_m=(0.0, -BOGIES_M), pitch_deg_per_mps2=0.0, roll_deg_per_mps2=0.0)
+    one_point: Change = lambda vehicle: altered(  # noqa: E731
+        vehicle, ekf={"pivot_m": 0.0, "bogie_distance_m": 0.0}, wheels={"bogie": ""}
+    )
+    time_s, facts = only(told(altered(base(), body=stiff), one_point, seed), events.LEVER_ARM)
+    assert time_s < DURATION_S
+    assert facts["direction"] == "ahead"
+    antenna_m = base().gnss.lever_arm_m[0] + 0.5 * BOGIES_M
+    assert facts["found_m"] == pytest.approx(antenna_m, abs=0.8)
+    assert "bogie_distance_m" in events.LEVER_ARM.cure
+
+
 def test_what_holds_is_said_again_after_five_minutes_and_not_before() -> None:
     samples, vehicle = sent(turned(yaw=90.0))
     check = ConfigurationCheck(vehicle)

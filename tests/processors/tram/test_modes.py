@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -112,6 +114,19 @@ def turned(ride: Ride, from_s: float) -> list[SyncFrame]:
     return frames
 
 
+def mounted_otherwise(ride: Ride, turned_deg: float, lasts_s: float) -> list[SyncFrame]:
+    """A ride whose IMU's case is turned about the vertical against what is configured."""
+    frames = copies(ride.between(-1.0, lasts_s))
+    turn = cmath.exp(-1j * math.radians(turned_deg))
+    for frame in frames:
+        imu = frame.imu
+        force = turn * complex(imu.accel_x_mps2, imu.accel_y_mps2)
+        rate = turn * complex(imu.gyro_x_radps, imu.gyro_y_radps)
+        imu.accel_x_mps2, imu.accel_y_mps2 = force.real, force.imag
+        imu.gyro_x_radps, imu.gyro_y_radps = rate.real, rate.imag
+    return frames
+
+
 def set_back(ride: Ride, at_s: float) -> list[SyncFrame]:
     """A ride until `at_s`, and then once more, with a clock a day younger."""
     frames = ride.between(-1.0, at_s)
@@ -149,6 +164,7 @@ def test_every_transition_of_the_table_happens_and_no_other(
         set_back(ride, running),
         turned(ride, running + 3.0),
         frozen_wheels(ride, 0.0, ride.departure_s(1) + 10.0),
+        mounted_otherwise(ride, 10.0, ride.departure_s(1) + 20.0),
         frozen_wheels(ride, stop_s, ride.departure_s(2) + 10.0 - stop_s),
     ):
         seen |= gone_through(ride, frames)
@@ -156,6 +172,7 @@ def test_every_transition_of_the_table_happens_and_no_other(
         patched.setattr(alignment, "ENOUGH_RAD", 1e-6)
         patched.setattr(localisers, "LATELY_S", 60.0)
         seen |= gone_through(ride, frozen_wheels(ride, ride.departure_s(1) + 8.0, 8.0))
+        seen |= gone_through(ride, mounted_otherwise(ride, 90.0, ride.departure_s(1) + 20.0))
     monkeypatch.setattr(heading, "KEEP_S", 0.5)
     seen |= gone_through(ride, ride.between(-1.0, running))
     assert seen == set(TRANSITIONS)

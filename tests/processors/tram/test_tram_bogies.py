@@ -11,17 +11,21 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from rides import LEVEL
+from rides import LEVEL, Errors, altered, judged, laid, ridden, run
+from test_tram_faults import PLAN, city
 
 from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.records import numbers, one
 from tramstream.estimation.track import OnTrack
+from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram_filter.filter import TramFilter
+from tramstream.processors.tram_filter.start import PIVOT_STD_M, pivot_std_m
 from tramstream.processors.tram_model import motion
 from tramstream.processors.tram_model.records import READING
 from tramstream.processors.tram_model.states import Ix
+from tramstream.simulation.body import Body as Pivots
 
 BASE_M = 6.4
 """Pivots of a T3: between its two bogies."""
@@ -167,3 +171,45 @@ def test_vehicle_on_the_mapped_curve_has_nothing_to_correct(bend: float) -> None
     across, heading = navigation.memory.given
     assert abs(across.innovation) < 0.01 * inside_m
     assert abs(heading.innovation) < 1e-9
+
+
+# Nobody has said that there are any ---------------------------------------------------------------
+def found_pivot(pivots_m: tuple[float, ...]) -> tuple[float, float, Errors]:
+    """What the filter finds of the pivot on a ride of two minutes with curves, and its errors."""
+    stiff = Pivots(pivots_m=pivots_m, pitch_deg_per_mps2=0.0, roll_deg_per_mps2=0.0)
+    gnss = {"velocity": True, "rate_hz": 5.0, "lever_arm_m": (3.0, 0.0, 3.2)}
+    chosen = altered(city(), body=stiff, gnss=gnss)
+    ride = ridden(laid(PLAN + " | 100 L40/60 100 R30/60 200 |"), chosen, 1, 130.0)
+    unsaid = altered(
+        ride.simulation.vehicle,
+        ekf={"pivot_m": 0.0, "bogie_distance_m": 0.0},
+        wheels={"bogie": ""},
+    )
+    localiser = TramLocaliser(unsaid)
+    errors = judged(ride.simulation, localiser, run(localiser, ride.frames))
+    (pivot,) = (each for each in localiser.learned() if each.name == "pivot")
+    return pivot.value, pivot.std, errors
+
+
+def test_bogies_that_nobody_has_configured_are_learned() -> None:
+    """Midway between them is what does not slip; the rest of the chord is too little to matter."""
+    pivot_m, std_m, errors = found_pivot((0.0, -BASE_M))
+    assert pivot_m == pytest.approx(BASE_M / 2, abs=0.6)
+    assert std_m < 0.3
+    assert errors.within(60.0, 130.0).horizontal_m.max() < 2.0
+
+
+def test_vehicle_that_is_a_point_is_found_to_be_one() -> None:
+    pivot_m, std_m, _ = found_pivot((0.0, -0.1))
+    assert pivot_m == pytest.approx(0.0, abs=0.3)
+    assert std_m < 0.3
+
+
+def test_pivot_is_sought_only_where_nothing_is_known_and_an_imu_can_tell() -> None:
+    known = vehicle(BASE_M)
+    bare = altered(known, ekf={"pivot_m": 0.0, "bogie_distance_m": 0.0})
+    assert pivot_std_m(known) == 0.0
+    assert pivot_std_m(bare) == PIVOT_STD_M
+    assert pivot_std_m(altered(bare, imu=None)) == 0.0
+    assert pivot_std_m(altered(bare, ekf={"pivot_std_m": 0.0})) == 0.0
+    assert pivot_std_m(altered(known, ekf={"pivot_std_m": 1.0})) == 1.0
