@@ -16,6 +16,8 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +44,7 @@ from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
 from tramstream.simulation import scenario
+from tramstream.simulation.older_map import without
 from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay, route_of
@@ -177,11 +180,23 @@ def study(case: Case) -> list[Figures]:
     vehicle = told(world)
     runs = [_Run(vehicle)]
     if case.network is not None:
-        runs.append(_Run(replace(vehicle, map=config.Map(network=case.network))))
+        runs.append(_mapped(vehicle, case, world, ride))
     for frame in _frames(simulation, vehicle, runs):
         for run in runs:
             run.step(frame)
     return [_figures(case, simulation, ride, run) for run in runs]
+
+
+def _mapped(vehicle: config.Vehicle, case: Case, world: World, ride: NetworkRide | None) -> _Run:
+    """Set up the filter with the map that its operator has."""
+    assert case.network is not None
+    if world.lacks_m is None or ride is None:
+        return _Run(replace(vehicle, map=config.Map(network=case.network)))
+    (lacked,) = ride.spots_at([world.lacks_m]).run.tolist()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "older"
+        without(ride.network, lacked >> 1).save(path)
+        return _Run(replace(vehicle, map=config.Map(network=str(path))))
 
 
 def _same_map(world: World) -> str:
