@@ -29,12 +29,12 @@ from tramstream.processors.tram_model.records import Memory, Parameters
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.update import columns_of
 
-TRUE_SHARE = 0.8
+TRUE_SHARE = 0.9
 """Of maps that are nearly true; chosen by hand on `reproduce worlds`."""
-TRUE = 0.2
+TRUE = 0.1
 """Deviation of their shift over that of the others; chosen by hand on `reproduce worlds`."""
-WALK = 2e-4
-"""Of the shift's variance that is new after a metre: it lasts for 5 km; chosen by hand."""
+WALK = 1e-4
+"""Of the shift's variance that is new after a metre: it lasts for 10 km; chosen by hand."""
 _SHIFT = columns_of(Ix.MAP_EAST, Ix.MAP_NORTH)
 
 
