@@ -262,6 +262,10 @@ class Map(Struct, frozen=True, kw_only=True):
     what the network itself states: σ_map of kaspar2023 (docs/theory.md, section 11.3)."""
     correlation_m: Positive = 30.0
     """Length of track over which `std_m` is one and the same error."""
+    shift_over_std: Annotated[float, Meta(ge=0, le=1000)] = 2.0
+    """How far the map may lie beside the rails as a whole, alike for kilometres (deviation east and
+    north), in times `std_m`: aerial images are a few decimetres off, in bad places a metre or two
+    (docs/theory.md, section 6.11). 0: it does not."""
     source: Annotated[str, Meta(pattern=r"^[^/*]+/[^/*]+/[^/*]+$")] = keys.EST_STATE.path
     """Key of what is matched: the state of any localiser, or "raw/gnss/fix", the receiver's own
     fixes."""
@@ -348,6 +352,13 @@ def takes_track(vehicle: Vehicle) -> bool:
     """Whether the localisation filter takes what a map matcher tells it of the track."""
     track = vehicle.ekf.track
     return track == "always" or (track == "with_map" and vehicle.map is not None)
+
+
+def map_shift_std_m(vehicle: Vehicle) -> float:
+    """How far the localisation filter takes its map to be beside the rails as a whole, m."""
+    if vehicle.map is None or not takes_track(vehicle):
+        return 0.0
+    return vehicle.map.shift_over_std * vehicle.map.std_m
 
 
 def default_runtime_dir() -> Path:

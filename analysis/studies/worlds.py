@@ -19,6 +19,8 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +47,7 @@ from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
 from tramstream.simulation import scenario
+from tramstream.simulation.older_map import without
 from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay, route_of
@@ -183,7 +186,7 @@ def study(case: Case) -> list[Figures]:
     vehicle = told(world)
     runs = [_Run(vehicle)]
     if case.network is not None:
-        runs.append(_Run(replace(vehicle, map=config.Map(network=case.network))))
+        runs.append(_mapped(vehicle, case, world, ride))
     for frame in _frames(simulation, vehicle, runs):
         for run in runs:
             run.step(frame)
@@ -202,6 +205,18 @@ def bound_p90_m(simulation: Simulation) -> float | None:
     series = bound.series(simulation)
     moving = series.time_s >= begin_s
     return bound.horizontal_quantile_m(series.covariance[moving], 0.9) if moving.any() else None
+
+
+def _mapped(vehicle: config.Vehicle, case: Case, world: World, ride: NetworkRide | None) -> _Run:
+    """Set up the filter with the map that its operator has."""
+    assert case.network is not None
+    if world.lacks_m is None or ride is None:
+        return _Run(replace(vehicle, map=config.Map(network=case.network)))
+    (lacked,) = ride.spots_at([world.lacks_m]).run.tolist()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "older"
+        without(ride.network, lacked >> 1).save(path)
+        return _Run(replace(vehicle, map=config.Map(network=str(path))))
 
 
 def _same_map(world: World) -> str:

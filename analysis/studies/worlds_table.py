@@ -73,6 +73,8 @@ class World(NamedTuple):
     moving: bool = False
     """The fault is there from the start and shows with the first departure."""
     map_error: MapError = MapError()
+    lacks_m: float | None = None
+    """The map lacks the track that the line takes so far on: it was built later."""
     duration_s: float | None = None
     """Its rides are no longer."""
     bound: bool = False
@@ -349,6 +351,22 @@ WORLDS: tuple[World, ...] = (
     ),
     World("map 1 m beside", "the rails are 1 m to the left", map_error=MapError(beside_m=1.0)),
     World("map 2 m beside", "the rails are 2 m to the left", map_error=MapError(beside_m=2.0)),
+    World(
+        "map in another datum",
+        "the rails are 0.8 m to the east and 0.6 m to the north of the map",
+        map_error=MapError(east_m=0.8, north_m=0.6),
+    ),
+    World(
+        "map turned",
+        "the rails are turned by 0.2 mrad about the middle of the line: 1.2 m at its ends",
+        map_error=MapError(turned_rad=2e-4),
+    ),
+    World(
+        "track moved",
+        "rails were laid anew, 4 m to the left of the map from 1,000 to 1,300 m on",
+        map_error=MapError(moved_m=4.0, moved_from_m=1000.0, moved_to_m=1300.0),
+    ),
+    World("track not mapped", "the map lacks the track that is taken at 2 km", lacks_m=2000.0),
     World(
         "position-only receiver",
         "no IMU, no wheels, fixes of 0.5 m without velocity",

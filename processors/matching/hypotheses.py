@@ -44,8 +44,10 @@ on which the filter was put onto the rails, or NONE; last number of a lineage; e
 were read; sign of the motion along x; whether the filter's last covariance is there; way against
 that direction, m; heading of the filter at the last step;"""
 FILTER_P = 10
-"""covariance of the filter's last place and heading: ee, en, nn, heading."""
-HEAD = 14
+"""covariance of the filter's last place and heading: ee, en, nn, heading;"""
+FLOOR = 14
+"""below which the logarithmic weight of being off the map does not fall."""
+HEAD = 15
 RUN, CHAINAGE, BEFORE, NEXT = 0, 1, 2, 3
 Q_EAST = NEXT + AHEAD
 Q_NORTH, OFFSET = Q_EAST + 1, Q_EAST + 2
@@ -97,6 +99,8 @@ OFF_PRIOR = 0.02
 OFF_RADIUS_M = 30.0
 """Off the map, a place is anywhere within so far of a track."""
 OFF_FLOOR = math.log(1e-6)
+UNMAPPED, UNMAPPED_LEFT = 5e-4, 0.05
+"""Of vehicles beside a track, those on one that the map lacks; of those that have left the map."""
 REFUSED = 16.0
 """Squared distance at which a measurement weighs but does not move a hypothesis any more,"""
 WEIGHS_MOST = 30.0
@@ -359,9 +363,11 @@ def tidy(M: Array) -> None:
             kept += 1
     M[COUNT] = kept
     norm = best + math.log(total)
+    off = max(M[OFF] - norm, M[FLOOR])
+    norm += math.log1p(-math.exp(M[OFF] - norm)) - math.log1p(-math.exp(off)) if kept else 0.0
     for k in range(kept):
         row(M, k)[WEIGHT] -= norm
-    M[OFF] = max(M[OFF] - norm, OFF_FLOOR)
+    M[OFF] = off
 
 
 @compiled

@@ -40,6 +40,9 @@ AGAIN_M = 10.0
 """Tracks are looked for again after so long without a heading, after so long a way off the map."""
 LOST = 0.5
 """Off the map, if that is likelier than this."""
+SUREST_OFF = math.log1p(-1e-9)
+UNSURE = math.log(0.005)
+"""Tracks are looked for again while a track that the map lacks is likelier than this."""
 FORGET_S = 300.0
 """Time in which errors of a filter with inertial sensors forget themselves: it averages its fixes
 over minutes."""
@@ -100,6 +103,7 @@ class Match(NamedTuple):
 def _no_hypotheses() -> Array:
     numbers = np.zeros(kernels.MEMORY)
     numbers[kernels.SYNCED], numbers[kernels.DIRECTION] = kernels.NONE, 1.0
+    numbers[kernels.FLOOR] = kernels.OFF_FLOOR
     return numbers
 
 
@@ -114,6 +118,8 @@ class HypothesesMemory:
     way_m: float = 0.0
     """Since tracks were looked for."""
     headed: bool = False
+    left: bool = False
+    """Whether the vehicle has left the map and was not found on it again."""
     guessed: bool = False
     """The direction of travel."""
 
@@ -257,7 +263,8 @@ class Matcher:
         if self.remembered.guessed and abs(z[kernels.SPEED]) > MOVES_MPS:
             self.remembered.guessed = False
             return bool(z[kernels.SPEED] * self.memory[kernels.DIRECTION] < 0.0)
-        if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses:
+        doubted = self.memory[kernels.FLOOR] > UNSURE
+        if math.exp(self.memory[kernels.OFF]) < LOST and self.hypotheses and not doubted:
             return False
         self.remembered.way_m += abs(z[kernels.SPEED]) * z[kernels.STEP]
         return self.remembered.way_m >= AGAIN_M
@@ -265,6 +272,8 @@ class Matcher:
     def _look(self, headed: bool) -> None:
         """Begin anew with all tracks near the estimate."""
         z, memory = self._motion, self.memory
+        off = headed and self.remembered.looked_ns > 0 and math.exp(memory[kernels.OFF]) >= LOST
+        left = self.remembered.left or off
         self.remembered.looked_ns, self.remembered.way_m = self.remembered.stamp_ns, 0.0
         memory[kernels.COUNT] = memory[kernels.WAY] = 0.0
         memory[kernels.SYNCED] = kernels.NONE
@@ -294,7 +303,18 @@ class Matcher:
             memory[kernels.OFF] -= math.log(math.tau)
         for run, s, prior in begun[: kernels.MOST]:
             kernels.seed(memory, self._rails, z, self._constants, run, s, prior / len(begun))
+        memory[kernels.FLOOR] = floor = self._beside_all(left)
+        self.remembered.left = left and floor > UNSURE
         kernels.tidy(memory)
+
+    def _beside_all(self, left: bool) -> float:
+        """How likely the vehicle is on a track that the map lacks, beside those just found."""
+        memory = self.memory
+        share = kernels.UNMAPPED_LEFT if left else kernels.UNMAPPED
+        unmapped = float(memory[kernels.OFF]) + math.log(share / kernels.OFF_PRIOR)
+        weights = [kernels.row(memory, k)[kernels.WEIGHT] for k in range(self.hypotheses)]
+        others = sum(math.exp(float(weight) - unmapped) for weight in weights)
+        return min(max(-math.log1p(others), kernels.OFF_FLOOR), SUREST_OFF)
 
     # What comes out ------------------------------------------------------------------------------
     def _match(self, headed: bool) -> Match:

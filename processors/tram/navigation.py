@@ -302,7 +302,7 @@ class Navigation:
         """Take what a map tells of a moment ago; False if that cannot be used."""
         now = self._pose()
         then = self._trail.at(track.stamp_ns, now) if self._trail is not None else None
-        told = track.told(*then[:3]) if then is not None else None
+        told = track.told(*self.ekf.on_map(*then[:2]), then[2]) if then is not None else None
         if then is None or told is None:
             return False
         # What the pitch has turned by since is the grade of another place.
@@ -313,7 +313,9 @@ class Navigation:
         """Take that the vehicle is on a track, of which the state as it is is off."""
         memory = self.memory
         ekf, told = self.ekf, on_track
-        east, north, yaw = (ekf.state[each] for each in (Ix.EAST, Ix.NORTH, Ix.YAW))
+        ekf.walk_map()
+        yaw = ekf.state[_YAW]
+        east, north = ekf.on_map(ekf.state[_EAST], ekf.state[_NORTH])
         n = told.normal_east, told.normal_north
         across_m = told.across_m - self._inside_m2 * told.bend_per_m
         across = ekf.apply(TrackDistance(*n, across_m, told.across_variance, gate))

@@ -22,7 +22,7 @@ from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Estimate, Verdict
 from tramstream.estimation.records import Records, frozen, numbers, one
 from tramstream.processors.tram_filter.estimate import estimate_of
-from tramstream.processors.tram_model import motion, prediction_to_now, wheel_path
+from tramstream.processors.tram_model import map_shift, motion, prediction_to_now, wheel_path
 from tramstream.processors.tram_model.measurement import (
     EVERY,
     NONE,
@@ -74,7 +74,7 @@ class FilterMemory:
 
 
 class TramFilter:
-    """x (30, 1) and P (30, 30) of the model `tram`.
+    """x (32, 1) and P (32, 32) of the model `tram`.
 
     Parameters
     ----------
@@ -87,6 +87,7 @@ class TramFilter:
         constants = parameters(vehicle, gravity_mps2)
         self.parameters = frozen(constants)
         """The model's constants; see `records.Parameters`."""
+        self._map_variance = float(constants["map_variance"][0])
         self.situation = situation(vehicle)
         """How the vehicle goes; see `records.Situation`."""
         self.fields = one(MEMORY)
@@ -296,6 +297,17 @@ class TramFilter:
     def widen(self, state: Ix, std: float) -> None:
         """Add to a state's uncertainty; what others know of it stays."""
         self._P[state, state] += std * std
+
+    def on_map(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """Where a map that is beside the rails as a whole has a place."""
+        return east_m - self.state[Ix.MAP_EAST], north_m - self.state[Ix.MAP_NORTH]
+
+    def walk_map(self) -> None:
+        """Let the map lie otherwise beside the rails, as it may after a metre of way."""
+        limit = self._map_variance
+        for state in (Ix.MAP_EAST, Ix.MAP_NORTH):
+            if self.variances[state] < limit * (1.0 - map_shift.WALK):
+                self._P[state, state] += map_shift.WALK * limit
 
     def exchange(self, state: Ix, other: Ix, std: float) -> None:
         """Take that so much may belong to one state rather than to the other: their sum stays."""

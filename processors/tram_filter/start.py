@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, map_shift_std_m
 from tramstream.estimation.kalman import Array
 from tramstream.processors.tram_model.states import Ix
 
@@ -34,7 +34,7 @@ def pivot_std_m(vehicle: Vehicle) -> float:
 
 
 def first_deviations(vehicle: Vehicle) -> Array:
-    """Standard deviations of all states (`Ix`) at the start, shape (30,)."""
+    """Standard deviations of all states (`Ix`) at the start, shape (32,)."""
     imu, wheels = vehicle.imu, vehicle.wheels
     std = np.zeros(len(Ix))
     std[[Ix.EAST, Ix.NORTH, Ix.UP]] = START_STD_M
@@ -51,6 +51,7 @@ def first_deviations(vehicle: Vehicle) -> Array:
     std[Ix.PIVOT] = pivot_std_m(vehicle)
     std[[Ix.SCALE_A, Ix.SCALE_B]] = wheels.scale_std
     std[Ix.WHEEL_DELAY] = wheels.delay_std_s
+    std[[Ix.MAP_EAST, Ix.MAP_NORTH]] = map_shift_std_m(vehicle)
     if vehicle.gnss is not None:
         std[Ix.GNSS_DELAY] = math.hypot(vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0)
     return std

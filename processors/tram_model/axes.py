@@ -12,6 +12,7 @@ import numpy as np
 from tramstream.estimation import localiser
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.estimation.localiser import ACCELERATION, YAW_RATE
+from tramstream.processors.tram_model.map_shift import weigh_map
 from tramstream.processors.tram_model.records import (
     INERTIAL,
     MEMORY,
@@ -258,5 +259,7 @@ def fill_estimate(f: Memory, share: float, facing: bool, values: Array) -> None:
 @compiled
 def estimate(memory: Array, parameters: Array, facing: bool, values: Array) -> None:
     """Fill the values of an estimate out of the filter's memory; see `origin`."""
-    share = parameters.view(PARAMETERS)[0].clock_share
-    fill_estimate(memory.view(MEMORY)[0], share, facing, values)
+    f, c = memory.view(MEMORY)[0], parameters.view(PARAMETERS)[0]
+    fill_estimate(f, c.clock_share, facing, values)
+    if facing:
+        weigh_map(f, c, values)

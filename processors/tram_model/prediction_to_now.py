@@ -9,6 +9,7 @@ import numpy as np
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.estimation.records import Records, dtype_of
 from tramstream.processors.tram_model.axes import TAKEN, fill_estimate, take_reading
+from tramstream.processors.tram_model.map_shift import weigh_map
 from tramstream.processors.tram_model.motion import add_noise, move, transition
 from tramstream.processors.tram_model.records import (
     INERTIAL,
@@ -95,6 +96,7 @@ def estimate_ahead(
     unseen = kept.view(KEPT)[begin:end]
     _predict(memory.view(MEMORY)[0], f, c, s, unseen, mean.view(READING)[0])
     fill_estimate(f, c.clock_share, True, values)
+    weigh_map(memory.view(MEMORY)[0], c, values)
 
 
 @compiled

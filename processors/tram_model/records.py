@@ -12,7 +12,7 @@ from typing import Annotated, Protocol
 
 import numpy as np
 
-from tramstream.config import Vehicle
+from tramstream.config import Vehicle, map_shift_std_m
 from tramstream.estimation.kalman import Array, Indices
 from tramstream.estimation.records import Records, dtype_of, one
 from tramstream.processors.tram_model.states import ENTRY_COUNT, SIZE
@@ -71,6 +71,8 @@ class Parameters(Protocol):
     """Noise of the vertical specific force, (m/s²)²/Hz; 0: it is not used."""
     clock_share: float
     """Part of the fixes' delay by which the inertial stamps are too early."""
+    map_variance: float
+    """Of what a map may be beside the rails as a whole, on each axis, m²; 0: it is not, or none."""
 
 
 class Situation(Protocol):
@@ -201,6 +203,7 @@ def parameters(vehicle: Vehicle, gravity_mps2: float) -> Records:
     c["half_base"] = ekf.bogie_distance_m / 2
     c["wheel_bogie"] = _AHEAD[vehicle.wheels.bogie] * ekf.bogie_distance_m / 2
     c["side_density"] = ekf.side_slip_std_m_rts**2
+    c["map_variance"] = map_shift_std_m(vehicle) ** 2
     c["heave_density"] = ekf.heave_std_m_rts**2
     c["heave_variance"] = c["heave_density"] / READING_S
     c["lateral_variance"] = ekf.sway_std_mps2_rthz**2 / READING_S

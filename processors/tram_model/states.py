@@ -53,6 +53,8 @@ class Ix(IntEnum):
     ACCEL_Z = 27  # bias, m/s²
     GNSS_SLOW_EAST = 28  # error of the fixes that lasts for many minutes, m
     GNSS_SLOW_NORTH = 29
+    MAP_EAST = 30  # of the rails from the map, for kilometres, where there is a map, m
+    MAP_NORTH = 31
 
 
 SIZE = len(Ix)
@@ -74,6 +76,8 @@ UNITS = {
     Ix.GNSS_UP: "m",
     Ix.GNSS_SLOW_EAST: "m",
     Ix.GNSS_SLOW_NORTH: "m",
+    Ix.MAP_EAST: "m",
+    Ix.MAP_NORTH: "m",
     Ix.SCALE_A: "1",
     Ix.SCALE_B: "1",
     Ix.GNSS_DELAY: "s",

@@ -1,10 +1,11 @@
 """That the vehicle is on a track: its distance, its heading, its grade; three measurements.
 
-    0 = n · (p − p_track),    ψ_track(s) = ψ,    γ = −θ
+    0 = n · (p − d − p_track),    ψ_track(s) = ψ,    γ = −θ
 
-with the track's left unit normal n. The heading that a track has depends on how far along it the
-vehicle is: in a curve its row reads the place along the track. What the map tells is of a state
-that was, at `east_m`, `north_m`, `yaw_rad`; what updates have moved since is taken into account.
+with the track's left unit normal n and the shift d of the rails from the map as a whole (see
+`map_shift.py`). The heading that a track has depends on how far along it the vehicle is: in a curve
+its row reads the place along the track. What the map tells is of a state that was, at `east_m`,
+`north_m`, `yaw_rad`; what updates have moved since is taken into account.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from tramstream.processors.tram_model.records import MEMORY
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.update import columns_of, update_row
 
-_PLACE = columns_of(Ix.EAST, Ix.NORTH)
-_HEADING = columns_of(Ix.EAST, Ix.NORTH, Ix.YAW)
+_PLACE = columns_of(Ix.EAST, Ix.NORTH, Ix.MAP_EAST, Ix.MAP_NORTH)
+_HEADING = columns_of(Ix.EAST, Ix.NORTH, Ix.YAW, Ix.MAP_EAST, Ix.MAP_NORTH)
 _PITCH = columns_of(Ix.PITCH)
 
 
@@ -29,12 +30,13 @@ def take_distance(
     """Take the distance from a track; see `TrackDistance`."""
     f = memory.view(MEMORY)[0]
     f.H[0, Ix.EAST], f.H[0, Ix.NORTH] = normal_east, normal_north
+    f.H[0, Ix.MAP_EAST], f.H[0, Ix.MAP_NORTH] = -normal_east, -normal_north
     f.y[0] = -across
     update_row(f, 0, _PLACE, R, gate)
 
 
 class TrackDistance(NamedTuple):
-    """How far left of the track the state as it is lies."""
+    """How far left of the track the state as it is lies, its place less the map's shift."""
 
     normal_east: float
     normal_north: float
@@ -71,7 +73,9 @@ def take_heading(
     """Take the heading of a track; see `TrackHeading`."""
     f = memory.view(MEMORY)[0]
     x, h = f.x, f.H[0]
-    along = normal_north * (x[Ix.EAST] - east) - normal_east * (x[Ix.NORTH] - north)
+    along = normal_north * (x[Ix.EAST] - x[Ix.MAP_EAST] - east)
+    along -= normal_east * (x[Ix.NORTH] - x[Ix.MAP_NORTH] - north)
+    h[Ix.MAP_EAST], h[Ix.MAP_NORTH] = bend * normal_north, -bend * normal_east
     h[Ix.EAST], h[Ix.NORTH], h[Ix.YAW] = -bend * normal_north, bend * normal_east, 1.0
     f.y[0] = bend * along - (yaw_off + x[Ix.YAW] - yaw)
     update_row(f, 0, _HEADING, R, gate)
@@ -89,7 +93,7 @@ class TrackHeading(NamedTuple):
     east_m: float
     north_m: float
     yaw_rad: float
-    """That state."""
+    """That state, on the map."""
     variance_rad2: float
     gate: float = SCALAR_GATE
 

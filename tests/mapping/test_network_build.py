@@ -221,6 +221,21 @@ def test_deviation_near_a_switch_holds_the_kink_that_the_map_draws() -> None:
     assert std[15] < std[0] / 2
 
 
+def test_curve_keeps_to_an_outline_that_is_drawn_as_a_track() -> None:
+    """As the map of Prague has three: a strip of grass, 76 m by 7 m, tagged as a tram's track."""
+    sheet = Sheet()
+    sheet.way([(0.0, 0.0), (76.0, 0.0), (76.0, 7.0), (30.0, 7.0), (0.0, 7.0), (0.0, 0.0)])
+    sheet.way(straight(40.0, 0.0, 400.0), oneway="yes")
+    net, _ = sheet.built(node_std_m=0.1)
+    (ring,) = {way.track for way in net.ways if way.osm_id == 100}
+    at = net.samples_of(ring)
+    corner = net.plan_of([sheet.extract.places[sheet.node(0.0, 0.0)]])[0]
+    east, north = net.east[at] - corner[0], net.north[at] - corner[1]
+    outside = np.hypot(east - np.clip(east, 0, 76), north - np.clip(north, 0, 7))
+    inside = np.minimum(np.minimum(east, 76 - east), np.minimum(north, 7 - north))
+    assert np.max(np.maximum(outside, inside)) < 1.0
+
+
 def test_yards_are_left_out_unless_wanted() -> None:
     sheet = Sheet()
     sheet.way(straight(0.0, 0.0, 200.0), oneway="yes")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from networks import junctions as network
 
 from tramstream.simulation.detours import detour
+from tramstream.simulation.older_map import without
 from tramstream.simulation.track_rides import (
     MapError,
     NetworkRide,
@@ -17,6 +20,7 @@ from tramstream.simulation.track_rides import (
     route_of,
     spots,
 )
+from tramstream.tracks.network import load
 
 CM = 0.01  # m
 BRANCHING = Route("branch", (0, 4), 10.0, 550.0, (0.0, 550.0))
@@ -138,3 +142,27 @@ def test_turned_map_is_turned_everywhere() -> None:
     turned, straight = (laid(MAIN, error=MapError(0.0, turned_rad=rad)) for rad in (0.01, 0.0))
     change = turned.line.yaw_rad(ALONG_M) - straight.line.yaw_rad(ALONG_M)
     assert np.median(change) == pytest.approx(0.01, abs=0.001)
+
+
+def test_rails_that_were_laid_anew_leave_the_map_and_come_back_to_it() -> None:
+    error = MapError(0.0, moved_m=4.0, moved_from_m=300.0, moved_to_m=600.0)
+    route_m = np.array([100.0, 290.0, 320.0, 350.0, 450.0, 550.0, 580.0, 610.0, 750.0])
+    north = beside_m(laid(CROSSING, error=error), route_m)[:, 1]  # the straight goes east
+    np.testing.assert_allclose(north[[0, 1, 3, 4, 5, 7, 8]], [0, 0, 4, 4, 4, 0, 0], atol=10 * CM)
+    np.testing.assert_allclose(north[[2, 6]], 2.0, atol=30 * CM)
+
+
+def test_older_map_lacks_a_track_and_keeps_all_numbers(tmp_path: Path) -> None:
+    without(network(), 1).save(tmp_path / "older")
+    older = load(tmp_path / "older")
+    assert older.track_count == network().track_count
+    assert 2 not in older.following_of(0)
+    assert 4 in older.following_of(0)
+    assert not older.following_of(2).size
+    assert not older.following_of(3).size
+    ends = older.samples_of(0).stop, older.samples_of(1).stop
+    there = np.hypot(older.east - network().east, older.north - network().north)
+    assert np.all(there[ends[0] : ends[1]] > 1e5)
+    assert np.all(there[: ends[0]] < CM)
+    assert np.all(there[ends[1] :] < CM)
+    assert not any(run >> 1 == 1 for line in older.lines for run in line.runs)

@@ -10,6 +10,7 @@ ends the deviations of a curve hold half the step to those that rails let follow
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,6 +28,10 @@ REACH_M = 60.0
 """Six times what the fit looks around itself."""
 FADES_M = 4.0
 """So far from a switch its kink is spread."""
+CORNER_RAD = math.radians(60.0)
+"""No rail turns so far at one node: what is drawn so (the outline of an area, say) is followed."""
+CORNER_STEP_M = 2.0
+"""Nodes are put so close on the chords that meet there, for a smooth curve swings out of them."""
 
 
 class Laid(NamedTuple):
@@ -61,16 +66,33 @@ def lay(
     node_std_m : float, optional
     """
     points = [np.array([plan[node] for node in chain.nodes]) for chain in topology.chains]
-    pieces, own = [], []
-    for track, inner in enumerate(points):
+    pieces, own, drawn = [], [], []
+    for track, nodes in enumerate(points):
+        inner, of_map = _with_corners(nodes)
+        drawn.append(of_map)
         after = _beyond(topology, points, 2 * track)
         before = _beyond(topology, points, 2 * track + 1)[::-1]
         pieces.append(np.concatenate([before, inner, after]))
         own.append(np.repeat([False, True, False], [len(before), len(inner), len(after)]))
     starts = np.cumsum([0, *map(len, pieces)])
     fitted = fit(Curves(starts, np.concatenate(pieces), np.concatenate(own)), node_std_m)
+    fitted = replace(fitted, node_arc_m=fitted.node_arc_m[np.concatenate(drawn)])
     node_starts = np.cumsum([0, *map(len, points)])
     return Laid(_doubted(topology, fitted), node_starts, np.concatenate(points))
+
+
+def _with_corners(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Put nodes on the chords that meet at a corner; gives all nodes, and which are the map's."""
+    step = np.diff(points, axis=0)
+    way = np.hypot(*step.T)
+    turn = np.abs(np.angle(np.exp(1j * np.diff(np.arctan2(step[:, 1], step[:, 0])))))
+    sharp = np.concatenate([[False], turn > CORNER_RAD, [False]])
+    count = np.where(sharp[:-1] | sharp[1:], np.ceil(way / CORNER_STEP_M), 1).astype(np.int64)
+    count = np.maximum(count, 1)
+    chord = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(chord)) - np.repeat(np.cumsum(count) - count, count)
+    found = points[chord] + step[chord] * (within / count[chord])[:, None]
+    return np.concatenate([found, points[-1:]]), np.append(within == 0, True)
 
 
 def _beyond(topology: Topology, points: list[Array], run: int) -> Array:

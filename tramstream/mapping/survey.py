@@ -269,11 +269,13 @@ def _kinks(topology: Topology, network: Network, laid: Laid) -> Iterator[Finding
         away = np.linspace(0.0, network.length_m[track], len(bent))
         away = np.minimum(away, away[::-1])
         sharp = np.flatnonzero((bent > KINK_PER_M) & (away > SWITCH_M))
-        told = set()
+        told: set[int] = set()
         for part in np.split(sharp, np.flatnonzero(np.diff(sharp) > 1) + 1) if len(sharp) else ():
             worst = int(part[np.argmax(bent[part])])
             at = worst * float(network.spacing_m[track])
             nearest = int(np.argmin(np.abs(arc - at)))
+            if nearest in told:  # the curve swings round a corner
+                continue
             told.add(nearest)
             node, way = chain.nodes[nearest], chain.ways[min(nearest, len(chain.ways) - 1)]
             text = f"way {way} bends with a radius of {1 / bent[worst]:.0f} m near node {node}"

@@ -36,6 +36,8 @@ POINT_M = 1.0
 """Between points of a route: those of the network are as dense."""
 ERROR_STD_M = 0.4
 ERROR_LENGTH_M = 30.0
+MOVING_M = 40.0
+"""Over which rails that were laid anew leave where they lay: 5 m need curves of 65 m then."""
 LOST_SHARE = 0.01
 """Of a route's length that a line along it may lack before it is no line along it."""
 
@@ -70,6 +72,11 @@ class MapError(NamedTuple):
     """or so far to the east and north: a map in another datum,"""
     turned_rad: float = 0.0
     """or turned to the left about the middle of the route."""
+    moved_m: float = 0.0
+    """Rails that were laid anew are so much to the left of where the map has them,"""
+    moved_from_m: float = 0.0
+    moved_to_m: float = 0.0
+    """between these places of the route; they leave and come back over `MOVING_M`."""
 
 
 class Spots(NamedTuple):
@@ -216,7 +223,7 @@ def lay(
     direction /= np.hypot(*direction.T)[:, None]
     left = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     error = error or MapError()
-    across_m = error.beside_m + _across_m(route_m, rng, error)
+    across_m = error.beside_m + _across_m(route_m, rng, error) + _anew_m(route_m, error)
     points = _moved(points + left * across_m[:, None], error)
     chain_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     geodetic = np.column_stack([network.geodetic_of(points), _heights(network, at)])
@@ -238,6 +245,14 @@ def _moved(points: Array, error: MapError) -> Array:
     shift = middle + np.array([error.east_m, error.north_m])
     moved: Array = shift + (points - middle) @ np.array([[cos, sin], [-sin, cos]])
     return moved
+
+
+def _anew_m(route_m: Array, error: MapError) -> Array:
+    """How far to the left rails were laid anew; the curves there begin and end without a step."""
+    way = np.minimum(route_m - error.moved_from_m, error.moved_to_m - route_m) / MOVING_M
+    share = np.clip(way, 0.0, 1.0)
+    anew: Array = error.moved_m * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    return anew
 
 
 def _across_m(route_m: Array, rng: Generator, error: MapError) -> Array:

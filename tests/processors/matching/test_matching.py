@@ -553,6 +553,30 @@ def test_vehicle_that_leaves_the_last_track_at_its_end_is_off_the_map() -> None:
     assert (said.run[said.s > 400.0 + SAID_WITHIN_M] == -1).all()
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_vehicle_on_a_track_that_the_map_lacks_is_not_put_onto_the_opposite_one(seed: int) -> None:
+    """The map has its own track up to 300 m and again from 600 m on, the opposite one all along."""
+    whole = laid(straight(900.0))
+    ahead = whole.position_l(900.0)[:2] - whole.position_l(0.0)[:2]
+    start = np.array(networks.left_of(whole, networks.PARALLEL_M)) + ahead
+    case = made(
+        {
+            "before": laid(straight(300.0)),
+            "behind": laid(straight(300.0), whole.position_l(600.0)[:2].tolist()),
+            "opposite": laid(straight(900.0), start.tolist(), networks.YAW_RAD + math.pi),
+        }
+    )
+    said = matched(case, driven(whole, steady(880.0, 8.0), Noise(0.3), seed=seed), Map(network=""))
+    assert (said.run[said.s < 290.0] == case.run("before")).all()
+    lacked = (said.s > 300.0 + SAID_WITHIN_M) & (said.s < 600.0)
+    wrong = lacked & (said.run == (case.run("opposite") ^ 1))
+    assert not (said.probability[wrong] > 0.9).any()
+    assert wrong.sum() < 0.1 * lacked.sum()
+    told_of = [each is not None for each in said.on_tracks]
+    assert not np.array(told_of)[lacked].any()
+    assert (said.run[said.s > 600.0 + SAID_WITHIN_M] == case.run("behind")).all()
+
+
 def test_vehicle_far_from_all_tracks_is_off_the_map() -> None:
     case = networks.single()
     line = laid(straight(300.0), (3000.0, 3000.0))

@@ -47,6 +47,7 @@ SPREAD[[Ix.UP, Ix.SPEED]] = 10.0
 SPREAD[[Ix.ROLL, Ix.PITCH]] = 0.05
 SPREAD[Ix.YAW] = 3.0
 SPREAD[[Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP]] = 1.0
+SPREAD[[Ix.MAP_EAST, Ix.MAP_NORTH]] = 1.0
 SPREAD[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = 0.002
 
 
@@ -61,7 +62,10 @@ def vehicle() -> Vehicle:
 
 
 def state(rng: Generator) -> Array:
-    return rng.normal(size=SIZE) * SPREAD
+    x = np.empty(SIZE)
+    x[: Ix.MAP_EAST] = rng.normal(size=int(Ix.MAP_EAST)) * SPREAD[: Ix.MAP_EAST]
+    x[Ix.MAP_EAST :] = 0.6, -0.8
+    return x
 
 
 def reading(rng: Generator) -> Array:

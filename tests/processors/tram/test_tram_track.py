@@ -74,8 +74,13 @@ def beside_arc(east: float, north: float, yaw: float, bend: float = 1.0) -> tupl
     return across, off, float(normal[0]), float(normal[1]), k / (1.0 - k * across)
 
 
+def on_map(x: Array) -> tuple[float, float, float]:
+    """Place and heading of a state on a map that is beside the rails."""
+    return x[Ix.EAST] - x[Ix.MAP_EAST], x[Ix.NORTH] - x[Ix.MAP_NORTH], x[Ix.YAW]
+
+
 def told(x: Array, bend: float, variances: Sequence[float], grade: float = math.nan) -> OnTrack:
-    across, off, ne, nn, turn = beside_arc(x[Ix.EAST], x[Ix.NORTH], x[Ix.YAW], bend)
+    across, off, ne, nn, turn = beside_arc(*on_map(x), bend)
     return OnTrack(ne, nn, across, off, turn, variances[0], variances[1], grade, variances[2])
 
 
@@ -84,6 +89,7 @@ def near_arc(rng: np.random.Generator, bend: float) -> Array:
     x = held.state(rng)
     angle, radius = rng.uniform(-3.0, 3.0), RADIUS_M + rng.uniform(-5.0, 5.0)
     x[Ix.EAST], x[Ix.NORTH] = CENTRE + radius * np.array([math.cos(angle), math.sin(angle)])
+    x[Ix.EAST], x[Ix.NORTH] = x[Ix.EAST] + x[Ix.MAP_EAST], x[Ix.NORTH] + x[Ix.MAP_NORTH]
     x[Ix.YAW] = angle + bend * math.pi / 2.0 + rng.normal(0.0, 0.05)
     return x
 
@@ -108,8 +114,10 @@ def test_track_is_filterpys_dense_update(bend: float, grade: float) -> None:
         rows = 2 if math.isnan(grade) else 3
         H = np.zeros((rows, SIZE))
         H[0, [Ix.EAST, Ix.NORTH]] = on_track.normal_east, on_track.normal_north
+        H[0, [Ix.MAP_EAST, Ix.MAP_NORTH]] = -H[0, [Ix.EAST, Ix.NORTH]]
         along = np.array([on_track.normal_north, -on_track.normal_east])
         H[1, [Ix.EAST, Ix.NORTH]] = -on_track.bend_per_m * along
+        H[1, [Ix.MAP_EAST, Ix.MAP_NORTH]] = -H[1, [Ix.EAST, Ix.NORTH]]
         H[1, Ix.YAW] = 1.0
         z = np.array([-on_track.across_m, -on_track.yaw_off_rad])
         if rows == 3:
@@ -168,7 +176,7 @@ def test_rows_of_the_track_are_the_derivatives_of_its_geometry(bend: float) -> N
             for sign in (1.0, -1.0):
                 moved = x.copy()
                 moved[column] += sign * held.STEP
-                across, off, *_ = beside_arc(*moved[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist(), bend)
+                across, off, *_ = beside_arc(*on_map(moved), bend)
                 seen.append((across, off, moved[Ix.PITCH]))
             slopes = np.subtract(*seen) / (2.0 * held.STEP)
             for k, slope in enumerate(slopes.tolist()):
@@ -188,12 +196,12 @@ def test_state_is_put_onto_the_arc_when_nothing_else_is_known() -> None:
         on_track = told(after, 1.0, (1e-8, 1e-8, 1.0))
         n = on_track.normal_east, on_track.normal_north
         gate = held.INFINITE
-        place = after[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist()
+        place = on_map(after)
         ekf.apply(TrackDistance(*n, on_track.across_m, on_track.across_variance, gate))
         heading = on_track.yaw_off_rad, on_track.bend_per_m, *place, on_track.yaw_variance
         ekf.apply(TrackHeading(*n, *heading, gate))
         after = ekf.x[:, 0].copy()
-    across, off, *_ = beside_arc(*after[[Ix.EAST, Ix.NORTH, Ix.YAW]].tolist())
+    across, off, *_ = beside_arc(*on_map(after))
     assert across == pytest.approx(0.0, abs=1e-3)
     assert off == pytest.approx(0.0, abs=1e-3), "its place along is what the heading says"
     assert after[Ix.YAW] == pytest.approx(x[Ix.YAW], abs=1e-4)
