@@ -14,7 +14,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -54,7 +54,11 @@ class Day(NamedTuple):
     @property
     def events(self) -> tuple[AnyEvent, ...]:
         """What switches IMU and receiver off."""
-        at = {"stop": self.off_halt, "after_s": OFF_AFTER_S, "duration_s": self.off_s}
+        at: dict[str, Any] = {
+            "stop": self.off_halt,
+            "after_s": OFF_AFTER_S,
+            "duration_s": self.off_s,
+        }
         return (ImuLost(**at), GnssRateLost(**at))
 
 
@@ -94,7 +98,8 @@ def storage(network: Network, near: int, least_m: float = 60.0, beside: int = 4)
         found.append((out_m, run))
     if not found:
         raise ConfigError("the network has no storage track from which a tram comes to the line")
-    return min(found)[1]
+    nearest: int = min(found)[1]
+    return nearest
 
 
 _AMONG_M = 18.0

@@ -14,7 +14,8 @@ from tramstream.memory.stage import from_plain
 from tramstream.processor import Sample
 from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.localisation.processor import LocalisationFilter
-from tramstream.processors.tram.navigation import Navigation, NavigationMemory
+from tramstream.processors.tram.navigation import Navigation
+from tramstream.processors.tram.navigation_memory import NavigationMemory
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 

@@ -256,7 +256,7 @@ class Fixes:
             here = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
             last = here if refused else (z[0], z[1])
             lasted_s = (last_ns - self.memory.begun_ns) / S if last_ns else 0.0
-            self._first.begin(Level(*here, *last, last_ns or stamp_ns, lasted_s))
+            self._first.begin(Level(here[0], here[1], *last, last_ns or stamp_ns, lasted_s))
         place = self._first.take(stamp_ns, z[0], z[1], std)
         if place is None:
             return []

@@ -341,8 +341,8 @@ def _fork(work: Callable[[], None], *others: Connection, niceness: int = 0) -> F
     def begin() -> None:
         os.nice(niceness)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pipes' end tells this process to end
-        for each in (signal.SIGTERM, signal.SIGHUP):
-            signal.signal(each, signal.SIG_DFL)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         for each in others:
             each.close()

@@ -135,7 +135,7 @@ def bound(kernel: F, *arguments: Any) -> F:
     hands in others gets a TypeError.
     """
     jitted: Any = kernel
-    signature = tuple(numba.typeof(each) for each in arguments)
+    signature = tuple(map(numba.typeof, arguments))
     jitted.compile(signature)
     return cast(F, jitted.overloads[signature].entry_point)
 

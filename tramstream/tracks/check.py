@@ -79,8 +79,8 @@ def doubt_of(arrays: Mapping[str, NDArray[Any]]) -> str:
         known = kind[0] != "f" or name in _MAY_BE_UNKNOWN or np.all(np.isfinite(arrays[name]))
         if not known:
             return f"{name} holds what is no number"
-    for name, limit in _LIMITS.items():
-        if np.any(np.abs(arrays[name]) > limit):  # NaN is not
+    for name, largest in _LIMITS.items():
+        if np.any(np.abs(arrays[name]) > largest):  # NaN is not
             return f"{name} is larger than any rail's"
     spacing_m = arrays["length_m"] / (counts - 1)
     if np.any(spacing_m < _SPACING_M[0]) or np.any(spacing_m > _SPACING_M[1]):
