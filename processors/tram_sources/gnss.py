@@ -253,10 +253,10 @@ class Fixes:
         """Let a vehicle that has not moved yet be where its fixes have been for longest."""
         std, last_ns = self.noise.std_m, self.memory.last_ns
         if not self.memory.first.levels:  # the vehicle is believed to be somewhere already
-            here = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
-            last = here if refused else (z[0], z[1])
+            east, north = ekf.state[Ix.EAST], ekf.state[Ix.NORTH]
+            last = (east, north) if refused else (z[0], z[1])
             lasted_s = (last_ns - self.memory.begun_ns) / S if last_ns else 0.0
-            self._first.begin(Level(here[0], here[1], *last, last_ns or stamp_ns, lasted_s))
+            self._first.begin(Level(east, north, last[0], last[1], last_ns or stamp_ns, lasted_s))
         place = self._first.take(stamp_ns, z[0], z[1], std)
         if place is None:
             return []

@@ -86,7 +86,8 @@ class Wheels:
             along = ways[rows] + self._slips(slipped_m[rows])[0]
             counted.append(self._whole(along * self._pulses_per_m))
             self._slipped = slipped_m[rows][-1]
-        pulses: NDArray[np.int64] = np.diff(np.concatenate(counted), axis=0)
+        levels: NDArray[np.int64] = np.concatenate(counted)
+        pulses = levels[1:] - levels[:-1]
         return self._direction * pulses if self.axle.signed else np.abs(pulses)
 
     def _legs(self, motion: Motion) -> list[tuple[float, slice]]:
