@@ -24,11 +24,7 @@ from tramstream.processors.tram_filter.estimate import learned
 from tramstream.processors.tram_filter.events import ASTRAY
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_filter.modes import RUNNING, published_mode
-from tramstream.processors.tram_filter.start import (
-    PITCH_STD_RAD,
-    ROLL_STD_RAD,
-    first_deviations,
-)
+from tramstream.processors.tram_filter.start import PITCH_STD_RAD, ROLL_STD_RAD, first_deviations
 from tramstream.processors.tram_model.lateral_force import LateralForce
 from tramstream.processors.tram_model.level_force import LevelForce
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
