@@ -289,7 +289,7 @@ class OdometerBridge(Processor):
         memory = self.memory
         memory.heard = True
         found = [(wheel, wheel.read(data)) for wheel in plan.wheels]
-        known = [(what, signal.read(data), scale) for what, signal, scale in plan.signals]
+        known = [(what, signal.read(data, scale), scale) for what, signal, scale in plan.signals]
         values = [value for _, value in found] + [value for _, value, _ in known]
         reasons = [value for value in values if isinstance(value, str)]
         unusable = next((each for each in reasons if each in (SHORT, NO_NUMBER)), "")

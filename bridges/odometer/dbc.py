@@ -19,6 +19,7 @@ from cantools.database.errors import Error as CantoolsError
 
 from tramstream.bridges.odometer import j1939
 from tramstream.bridges.odometer.dbc_text import check_bounds, mark_extended, paged_signals
+from tramstream.config import LARGEST
 from tramstream.errors import ConfigError
 from tramstream.input_file import read_limited
 
@@ -97,8 +98,11 @@ class Field:
         value = self.raw(data)
         return None if value is None else self._scaled(value)
 
-    def read(self, data: bytes) -> float | str | None:
-        """Value in the DBC's unit; why there is none, or None where it is on another page."""
+    def read(self, data: bytes, scale: float = 1.0) -> float | str | None:
+        """Value in the DBC's unit; why there is none, or None where it is on another page.
+
+        What times `scale` is larger than anything of a vehicle is no number either.
+        """
         there = self.on_page(data)
         if there is False:
             return None
@@ -113,7 +117,7 @@ class Field:
         if reason:
             return reason
         value = self._scaled(raw)
-        return value if math.isfinite(value) else NO_NUMBER
+        return value if abs(value * scale) <= LARGEST else NO_NUMBER
 
     def read_counter(self, data: bytes) -> int | str | None:
         """A free-running counter before scaling; else as `read`.

@@ -18,6 +18,8 @@ from tramstream.config import Wheel as WheelConfig
 
 UNKNOWN_WAY = 1 << 36
 """Pulses; 63,000 km of the reference vehicle's wheel, 69 km where a pulse is a micrometre."""
+MOST_PULSES = 1 << 62
+"""What a message has room for, with some to fall."""
 FASTEST_MPS = 40.0
 """No tram runs faster; whoever reads pulses takes what is faster for a new start, too."""
 SHORTEST_S = 0.05
@@ -85,7 +87,9 @@ class Wheel:
 
     def read(self, data: bytes) -> float | str | None:
         """Value in a frame; why there is none, or None where it is on another page."""
-        return self.signal.read_counter(data) if self.kind == "counter" else self.signal.read(data)
+        if self.kind == "counter":
+            return self.signal.read_counter(data)
+        return self.signal.read(data, self._scale)
 
     def take(self, value: float, stamp_ns: int) -> UnknownWay | None:
         """Take the value of a frame."""
@@ -109,7 +113,8 @@ class Wheel:
     @property
     def pulses(self) -> int:
         """Since the bridge was started."""
-        return round(self.memory.total * self._scale) - self.memory.unknown * UNKNOWN_WAY
+        counted = max(-MOST_PULSES, min(MOST_PULSES, self.memory.total * self._scale))
+        return round(counted) - self.memory.unknown * UNKNOWN_WAY
 
     def _count(self, counter: int, stamp_ns: int) -> UnknownWay | None:
         memory = self.memory

@@ -410,6 +410,23 @@ def test_unusable_frames_are_counted_by_reason_and_never_raise(dbc: str) -> None
     assert (frames_ledger.received, frames_ledger.delivered, frames_ledger.dropped) == (12, 3, 9)
 
 
+@pytest.mark.parametrize("kind", ["pulses", "speed"])
+@pytest.mark.parametrize("value", [1e300, -1e30, 1.7e308, float("inf")])
+def test_number_beyond_all_vehicles_is_none(tmp_path: Path, kind: Any, value: float) -> None:
+    path = tmp_path / "big.dbc"
+    path.write_text(
+        'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: XXX\n\nBO_ 1 BIG: 8 XXX\n'
+        ' SG_ W : 0|64@1- (1,0) [0|0] "" XXX\n\nSIG_VALTYPE_ 1 W : 2;\n'
+    )
+    wheels = {"w": Wheel(message="BIG", signal="W", kind=kind, scale=100.0)}
+    node = bridge(str(path), wheels=wheels)
+    frames = [frame(k, 1, struct.pack("<d", each)) for k, each in enumerate([2.0, value, 3.0])]
+    readings = run(node, frames)
+    read = [each.wheels[0].pulses or each.wheels[0].speed_mps for each in readings]
+    assert read == ([200, 500] if kind == "pulses" else [200.0, 300.0])
+    assert node.device_counters()["rejected_by_reason"] == {REJECT_NAN: 1}
+
+
 @given(
     st.lists(
         st.tuples(
