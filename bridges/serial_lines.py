@@ -49,15 +49,19 @@ class SerialName:
         """Of the device that was opened last, a list for each folder."""
 
     def find(self) -> str:
-        """Path to open now: the configured one, unless it is known that the device has another."""
+        """Path to open now: the configured one, unless it is known that the device has another.
+
+        What any of its links calls so is the device: of two adapters without a serial number only
+        the socket tells which is which.
+        """
         self.place = self.configured
         here = os.path.realpath(self.configured)
-        for links in self._known:
-            there = {os.path.realpath(link) for link in links if link.exists()}
-            if there:
-                if here not in there:
-                    self.place = min(there)
-                return self.place
+        found = [
+            {os.path.realpath(link) for link in links if link.exists()} for links in self._known
+        ]
+        elsewhere = [there for there in found if there]
+        if elsewhere and not any(here in there for there in elsewhere):
+            self.place = min(elsewhere[0])
         return self.place
 
     def opened(self) -> None:

@@ -226,6 +226,33 @@ def test_device_that_comes_back_under_another_name_is_found(tmp_path: Path, link
 
 
 @pytest.mark.live
+def test_twins_without_a_serial_number_are_told_apart_by_their_sockets(
+    tmp_path: Path, links: Path
+) -> None:
+    """Both have one name by-id, which points to whichever was plugged in last."""
+    sockets = tmp_path / "by-path"
+    sockets.mkdir()
+    first, second = Pty(tmp_path / "ttyACM0"), Pty(tmp_path / "ttyACM1")
+    first.plug()
+    (links / "usb-twin").symlink_to(os.readlink(first.link))
+    (sockets / "usb-1").symlink_to(os.readlink(first.link))
+    port = serial_port(first.link)
+    port.open()
+    first.unplug()
+    second.plug()
+    (links / "usb-twin").unlink()
+    (links / "usb-twin").symlink_to(os.readlink(second.link))
+    first.plug()
+    (sockets / "usb-1").unlink()
+    (sockets / "usb-1").symlink_to(os.readlink(first.link))
+    port.open()
+    assert port.place == str(first.link)
+    port.close()
+    first.unplug()
+    second.unplug()
+
+
+@pytest.mark.live
 def test_spare_device_under_the_configured_name_is_taken(tmp_path: Path, links: Path) -> None:
     device = Pty(tmp_path / "ttyACM0")
     port = serial_port(device.link)
@@ -491,6 +518,7 @@ def test_frames_of_the_kernel_are_gathered_into_one_message(kernel: Kernel) -> N
     kernel.send(0x7FF, bytes(range(12)))
     message = port.read()
     assert message is not None
+    assert not message.read_stamps
     assert contents([message]) == [
         Content(0xAA, 0, b"\x01\x02"),
         Content(0x18FF0A31, EXTENDED, b""),
