@@ -236,8 +236,8 @@ class Ekf(Struct, frozen=True, kw_only=True):
     bogie_distance_m: Annotated[float, Meta(ge=0, le=30)] = 0.0
     """From the pivot of one bogie to that of the other: the body lies along the chord of the rail
     between them, and midway it is inside of a curve. 0: its axis follows the rail."""
-    pivot_std_m: NotNegative | None = None
-    """How well `pivot_m` is known; the filter learns the rest. None: exactly, where `pivot_m` or
+    pivot_std_m: Annotated[float, Meta(ge=-1)] = -1.0
+    """How well `pivot_m` is known; the filter learns the rest. -1: exactly, where `pivot_m` or
     `bogie_distance_m` is given; else by 3 m where there is an IMU, and curves tell."""
     acceleration_std_mps2_rthz: Positive = 0.7
     """How the speed may change where no accelerometer tells."""

@@ -287,7 +287,7 @@ class ConfigurationCheck(Processor):
         if abs(math.degrees(turn.angle_rad)) > mounting.turn_limit_deg:
             return []  # who knows where is ahead, and to which side the wheels turn
         at = lever(fixes, path, Course(self.memory.way.turned), found, self._way.wheels_left_m)
-        pivot_m, pivot_std_m = self._vehicle.ekf.pivot_m, self._vehicle.ekf.pivot_std_m or 0.0
+        pivot_m, pivot_std_m = self._vehicle.ekf.pivot_m, self._vehicle.ekf.pivot_std_m
         ahead_m, left_m, _ = gnss.lever_arm_m
         limit_m = max(LEVER_LIMIT_M, STDS * pivot_std_m)
         sides = (

@@ -27,7 +27,7 @@ of a tram; chosen by hand, guarded by `test_bogies_that_nobody_has_configured_ar
 def pivot_std_m(vehicle: Vehicle) -> float:
     """How well it is known at the start which point of the vehicle does not slip sideways, m."""
     ekf = vehicle.ekf
-    if ekf.pivot_std_m is not None:
+    if ekf.pivot_std_m >= 0.0:
         return ekf.pivot_std_m
     told = ekf.pivot_m != 0.0 or ekf.bogie_distance_m != 0.0
     return 0.0 if told or vehicle.imu is None or vehicle.gnss is None else PIVOT_STD_M

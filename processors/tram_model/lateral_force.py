@@ -86,7 +86,9 @@ def take_reading(f: Memory, c: Parameters, u: Reading, steady_rate: Array, gate:
     # Midway between bogies the speed to the side comes and goes with the ends of a transition.
     shoved = v * u.angular_acceleration[Z] * c.half_base / 6.0
     swaying = max(c.lateral_variance, u.force_scatter[Y])
-    variance = swaying + v * v * c.rate_variance + shoved * shoved
+    # A pivot that is not known yet pushes where the turning changes; that shakes, and teaches none.
+    pushed = u.angular_acceleration[Z] * u.angular_acceleration[Z] * f.P[Ix.PIVOT, Ix.PIVOT]
+    variance = swaying + v * v * c.rate_variance + shoved * shoved + pushed
     update_row(f, 0, _COLUMNS, variance, gate)
 
 

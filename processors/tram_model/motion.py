@@ -186,6 +186,7 @@ def transition(x: Array, c: Parameters, s: Situation, u: Reading, dt: float, A: 
     # for knowledge of the mounting, and so of the pitch (docs/theory.md, section 5.3).
     A[Ix.SPEED, Ix.MOUNT_YAW] = -c.gravity * cp * sr * dt * driven
     A[Ix.SPEED, Ix.MOUNT_PITCH] = c.gravity * cp * cr * dt * driven
+    A[Ix.SPEED, Ix.PIVOT] = (wy * wy + wz * wz) * dt * driven
     A[Ix.ROLL, Ix.ROLL] = tp * dipping * dt
     A[Ix.ROLL, Ix.PITCH] = turning / (cp * cp) * dt
     A[Ix.PITCH, Ix.ROLL] = -turning * dt

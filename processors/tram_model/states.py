@@ -102,6 +102,7 @@ ENTRIES: tuple[tuple[Ix, Ix], ...] = (
     (Ix.SPEED, Ix.ACCEL_X),
     (Ix.SPEED, Ix.MOUNT_YAW),
     (Ix.SPEED, Ix.MOUNT_PITCH),
+    (Ix.SPEED, Ix.PIVOT),
     (Ix.ROLL, Ix.ROLL),
     (Ix.ROLL, Ix.PITCH),
     (Ix.PITCH, Ix.ROLL),
