@@ -26,7 +26,7 @@ from tramstream.estimation.localiser import TRACKING
 from tramstream.estimation.track import OnTrack
 from tramstream.events.messages import facts_of
 from tramstream.graph import Graph
-from tramstream.lines.line import Line
+from tramstream.lines.line import Line, parse_plan
 from tramstream.live import snapshots
 from tramstream.processor import Sample
 from tramstream.processors.localisation.events import MAP_UNMATCHED
@@ -331,6 +331,32 @@ def moving(states: Sequence[MotionState]) -> list[MotionState]:
 def without_map(seed: int) -> Output:
     ride = short(seed)
     return step(alone(ride.simulation.vehicle), ride.frames)
+
+
+def beyond_levels(ride: Ride, states: Sequence[MotionState]) -> float:
+    """Share of states whose error is beyond a protection level."""
+    levels = np.array([(each.protection_along_m, each.protection_across_m) for each in states])
+    errors = np.abs(np.column_stack(off(ride, states)))
+    return float(np.mean(np.any(errors > levels, axis=1)))
+
+
+def test_map_that_is_two_metres_beside_the_rails_is_in_the_protection_levels(
+    tmp_path: Path,
+) -> None:
+    """A filter that takes its map for true is beyond them, so the ride can tell."""
+    ride = short(1)
+    segments, stops_m = parse_plan(SHORT)
+    yaw_rad = float(ride.simulation.line.yaw_rad(0.0))
+    beside = Line(segments, stops_m, LEVEL, yaw_rad, (1.2, 1.6, 0.0))
+    path = saved(network_of([beside]), tmp_path / "beside.net")
+    share = {}
+    for times in (0.0, 2.0):
+        settings = Map(network=str(path), std_m=0.5, correlation_m=5.0, shift_over_std=times)
+        mapped = altered(ride.simulation.vehicle, map=settings)
+        graph = Graph([LocalisationFilter(mapped), MapMatcher(mapped)])
+        share[times] = beyond_levels(ride, moving(step(graph, ride.frames).states))
+    assert share[0.0] > 0.2
+    assert share[2.0] == 0.0
 
 
 def test_filter_with_the_map_is_better_than_without(short_map: Path) -> None:
