@@ -121,7 +121,8 @@ def _remarks(file: Path, result: Rerun) -> Iterator[str]:
     from tramstream.boundary import left_out
 
     if result.changed:
-        yield f"{file}: settings differ from the record's own: {'; '.join(result.changed)}"
+        yield f"{file}: settings that differ from the record's own: {len(result.changed)}"
+        yield from (f"  {text}" for text in result.changed)
     if result.without_map:
         yield (
             f"{result.without_map}; localisation went on without the map "
