@@ -66,7 +66,12 @@ def reprocess(
     import time
 
     from tramstream.cli.terminal.session import make_room, say
-    from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError
+    from tramstream.errors import (
+        CheckFailedError,
+        ConfigError,
+        DamagedRecordError,
+        MachineCodeError,
+    )
     from tramstream.machine import compilation
     from tramstream.recorder.reprocess.run import rerun
 
@@ -75,7 +80,10 @@ def reprocess(
     if check and (fresh or late == "accept"):
         raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
     make_room(out, [file], overwrite)
-    compilation.ensure(say)
+    try:
+        compilation.ensure(say)
+    except MachineCodeError as error:
+        say(f"{error}; what is needed is compiled on the way")
     started_s = time.perf_counter()
     result = rerun(
         file,
