@@ -66,7 +66,12 @@ def reprocess(
     import time
 
     from tramstream.cli.terminal.session import make_room, say
-    from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError
+    from tramstream.errors import (
+        CheckFailedError,
+        ConfigError,
+        DamagedRecordError,
+        MachineCodeError,
+    )
     from tramstream.machine import compilation
     from tramstream.recorder.reprocess.run import rerun
 
@@ -75,7 +80,10 @@ def reprocess(
     if check and (fresh or late == "accept"):
         raise ConfigError("--check compares with the live run; leave out --fresh and --late accept")
     make_room(out, [file], overwrite)
-    compilation.ensure(say)
+    try:
+        compilation.ensure(say)
+    except MachineCodeError as error:
+        say(f"{error}; what is needed is compiled on the way")
     started_s = time.perf_counter()
     result = rerun(
         file,
@@ -121,7 +129,8 @@ def _remarks(file: Path, result: Rerun) -> Iterator[str]:
     from tramstream.boundary import left_out
 
     if result.changed:
-        yield f"{file}: settings differ from the record's own: {'; '.join(result.changed)}"
+        yield f"{file}: settings that differ from the record's own: {len(result.changed)}"
+        yield from (f"  {text}" for text in result.changed)
     if result.without_map:
         yield (
             f"{result.without_map}; localisation went on without the map "

@@ -95,15 +95,21 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
         raise ValueError(f"{path}: is still to be filled in; write the value of this vehicle")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{path}: {value} is not a finite number")
+    expected = _bare(expected)
     if isinstance(expected, msgspec.inspect.UnionType):
         expected = _chosen(expected, value)
-    if isinstance(expected, msgspec.inspect.LiteralType) and value not in expected.values:
-        choices = [str(choice) for choice in expected.values]
-        raise ValueError(_unknown(path, f"{value!r} is none of the choices", str(value), choices))
+    choices = _choices(expected)
+    if choices and value not in choices:
+        names = [str(choice) for choice in choices]
+        raise ValueError(_unknown(path, f"{value!r} is none of the choices", str(value), names))
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        _check_range(value, expected, path)
     if isinstance(value, list):
         item_type = getattr(expected, "item_type", msgspec.inspect.AnyType())
+        types = getattr(expected, "item_types", ())
+        types = types if len(types) == len(value) else (item_type,) * len(value)
         for index, item in enumerate(value):
-            _check(item, item_type, f"{path}[{index}]")
+            _check(item, types[index], f"{path}[{index}]")
     elif isinstance(value, dict) and isinstance(expected, msgspec.inspect.DictType):
         for name, item in value.items():
             _check(item, expected.value_type, f"{path}.{name}")
@@ -117,6 +123,43 @@ def _check(value: Any, expected: msgspec.inspect.Type, path: str) -> None:
             _check(item, known[name], f"{path}.{name}")
 
 
+def _bare(expected: msgspec.inspect.Type) -> msgspec.inspect.Type:
+    while isinstance(expected, msgspec.inspect.Metadata):
+        expected = expected.type
+    return expected
+
+
+def _choices(expected: msgspec.inspect.Type) -> list[Any]:
+    """What may be written where only some words may; else empty."""
+    if isinstance(expected, msgspec.inspect.LiteralType):
+        return list(expected.values)
+    if isinstance(expected, msgspec.inspect.EnumType):
+        return [each.value for each in expected.cls]
+    return []
+
+
+def _check_range(value: float, expected: msgspec.inspect.Type, path: str) -> None:
+    """Refuse a number out of its range, and name the whole range.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not isinstance(expected, msgspec.inspect.IntType | msgspec.inspect.FloatType):
+        return
+    bounds = (
+        (expected.gt, ">", lambda bound: value > bound),
+        (expected.ge, ">=", lambda bound: value >= bound),
+        (expected.lt, "<", lambda bound: value < bound),
+        (expected.le, "<=", lambda bound: value <= bound),
+    )
+    known = [each for each in bounds if each[0] is not None]
+    if all(holds(bound) for bound, _, holds in known):
+        return
+    allowed = " and ".join(f"{sign} {bound:.15g}" for bound, sign, _ in known)
+    raise ValueError(f"{path}: {value!r:.40} is out of range; it must be {allowed}")
+
+
 def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Type:
     """The member that `value` is: a section that may be absent, or one of several by its tag."""
     structs = [each for each in union.types if isinstance(each, msgspec.inspect.StructType)]
@@ -124,6 +167,9 @@ def _chosen(union: msgspec.inspect.UnionType, value: Any) -> msgspec.inspect.Typ
         structs = [
             each for each in structs if not each.tag_field or value.get(each.tag_field) == each.tag
         ]
+    others = [each for each in union.types if not isinstance(each, msgspec.inspect.NoneType)]
+    if not structs and len(others) == 1:
+        return _bare(others[0])
     return structs[0] if structs else msgspec.inspect.AnyType()
 
 

@@ -29,6 +29,7 @@ from tramstream.processor import Processor, Sample, stamp
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import RawBytes
 from tramstream.recorder.file.writer import RecordFile
+from tramstream.strict_toml import convert
 
 NO_LINE_BAUD = 1_000_000_000
 """A capture has no line: its bytes take no time."""
@@ -109,7 +110,9 @@ class Imports:
     def imu(self, path: Path) -> None:
         """An IMU's frames; a read arrives when its last frame was latched."""
         data = _read(path)
-        section = self.vehicle.imu or Imu(device=path.name, model=self._model)  # type: ignore[arg-type]
+        section = self.vehicle.imu or convert(
+            {"device": path.name, "model": self._model}, Imu, "--model"
+        )
         section = msgspec.structs.replace(section, baud_rate=NO_LINE_BAUD)
         self.vehicle = msgspec.structs.replace(self.vehicle, imu=section)
         bridge = ImuBridge(self.vehicle)

@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, MetadataIndex, S
 
 from tramstream import __version__
 from tramstream.clock import boot_id
-from tramstream.errors import RecordError
+from tramstream.errors import RecordError, TramstreamError
 from tramstream.events.kinds import Event
 from tramstream.keys import SCHEMA_VERSION, Key, descriptor_set
 from tramstream.proto.health_pb2 import NodeHealth
@@ -308,8 +308,8 @@ class RecordFile:
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is None:
             self.close()
-        elif not (isinstance(kind, type) and issubclass(kind, Exception)):
-            self.discard()  # somebody ended the program: what stays would block its next run
+        elif not isinstance(error, Exception) or isinstance(error, TramstreamError):
+            self.discard()  # ended, or refused: what stays would block the next run
         else:
             with suppress(RecordError):  # `recover` then finds all that was appended
                 self.flush()

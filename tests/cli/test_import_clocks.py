@@ -127,7 +127,7 @@ def test_ride_of_a_receiver_whose_first_date_is_wrong_ends_in_its_own_time(tmp_p
         ("--ubx", b"no receiver says this\n" * 50, "baud rate"),
         ("--nmea", sentence("GPXXX,1,2")[:-4] + b"00\r\n", "baud rate"),
         ("--adis", bytes(10 * adis.FRAME_LENGTH), "docs/imu-framing.md"),
-        ("--can", b"(1000.0) can0 7FF#00\n", "--wheel"),
+        ("--can", b"(1000.0) can0 7FF#00\n", "DBC"),
         ("--can", b"  can0  100   [8]  00 01 02 03 04 05 06\n" * 20 + b"nothing", "candump -L"),
     ],
 )
@@ -138,9 +138,9 @@ def test_file_in_which_nothing_decodes_ends_with_2_and_the_cure(
     source.write_bytes(content)
     dbc.write_text(DBC)
     more = ("--dbc", dbc) if option == "--can" else ()
-    with pytest.raises(ConfigError, match="nothing in it decodes") as refused:
+    with pytest.raises(ConfigError, match=r"nothing in it decodes|none of its") as refused:
         run(option, source, *more, "-o", tmp_path / "o.mcap")
     assert refused.value.exit_status == 2
-    assert cure in refused.value.cure
+    assert cure in str(refused.value)
     assert str(source) in str(refused.value)
     assert not list(tmp_path.glob("o.mcap*"))

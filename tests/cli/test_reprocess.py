@@ -144,8 +144,11 @@ def test_map_that_is_not_there_is_told(ride: Path, tmp_path: Path) -> None:
     )
     out = tmp_path / "o.mcap"
     result = tramstream("reprocess", ride, "-o", out, "--config", config, "--json")
-    (sentence,) = result.stderr.splitlines()
+    (sentence,) = [line for line in result.stderr.splitlines() if line.startswith("$.map.network")]
     assert sentence.startswith(f"$.map.network: {tmp_path / 'no.tracks'}: cannot be read")
     assert "went on without the map" in sentence
+    figures = json.loads(result.stdout)
+    assert "$.map: absent in the record, a section now" in figures["settings_changed"]
+    assert "  $.map: absent in the record, a section now" in result.stderr.splitlines()
     assert json.loads(result.stdout)["outputs"] > 0
     assert keys.EST_STATE.path in by_path(out)

@@ -202,3 +202,31 @@ def test_missing_or_broken_file_is_refused_with_a_sentence(tmp_path: Path) -> No
     (tmp_path / "broken.geojson").write_text("{")
     with pytest.raises(ConfigError, match="is no GeoJSON"):
         load(str(tmp_path / "broken.geojson"))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"coordinates": [[14.4, 50.0, 1e308], [14.41, 50.0, 250.0]]}, "heights must be within"),
+        ({"coordinates": [[14.4, 50.0], [14.4, 10.0]]}, "is longer than 200 km"),
+        ({"length_m": 0.0}, "length_m must be a length"),
+        ({"length_m": 1e308}, "length_m must be a length"),
+        ({"length_m": True}, "length_m must be a length"),
+        ({"stops": [["A", 1e300]]}, "property stops must read"),
+    ],
+)
+def test_sizes_that_no_line_has_are_refused(change: dict[str, Any], says: str) -> None:
+    coordinates = change.get("coordinates", [[14.4, 50.0], [14.41, 50.0]])
+    properties = {name: value for name, value in change.items() if name != "coordinates"}
+    line = {"type": "LineString", "coordinates": coordinates}
+    document = {"type": "Feature", "properties": properties, "geometry": line}
+    with pytest.raises(ConfigError, match=says):
+        track(document, "f.geojson")
+
+
+def test_point_of_nowhere_is_beside_no_line() -> None:
+    line = {"type": "LineString", "coordinates": [[14.4, 50.0], [14.41, 50.0]]}
+    point = {"type": "Point", "coordinates": [1e308, -1e308]}
+    features = [{"type": "Feature", "properties": {}, "geometry": each} for each in (line, point)]
+    document = {"type": "FeatureCollection", "features": features}
+    assert track(document, "f.geojson").stops_m == []

@@ -12,7 +12,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.proto.raw_pb2 import RawBytes
 from tramstream.recorder.file.writer import RecordFile
 from tramstream.recorder.reader import open_record
-from tramstream.recorder.replay import Replay
+from tramstream.recorder.replay import AFTER_NS, Replay
 from tramstream.transport.bus import LocalBus
 from tramstream.transport.resend import ENTRY_BYTES, LIMIT_BYTES
 from tramstream.transport.settings import LEAVE_S
@@ -68,3 +68,17 @@ def test_nothing_is_waited_for_at_a_pace_and_a_dead_recorder_only_once(
 ) -> None:
     """Once on the way, and once at the end."""
     assert replayed(tmp_path, rate, stands_still).waits == waits
+
+
+def test_pause_of_years_in_a_record_is_not_waited_for(tmp_path: Path) -> None:
+    path, key, years_ns = tmp_path / "jump.mcap", keys.IMU_BYTES, 44 * 365 * 86_400 * S
+    with RecordFile(path, "tram") as file:
+        for number, at_ns in enumerate((S, 2 * S, years_ns, years_ns + S), 1):
+            payload = RawBytes(data=b"x").SerializeToString()
+            file.append(key.on("tram"), key, payload, at_ns, at_ns, number)
+    bus = Slow(stands_still=False)
+    with open_record(path) as record:
+        replay = Replay(record, bus, "copy", 1000.0, lambda _: True)
+        replay.run(Event(), lambda: None)
+    assert replay.published == 4
+    assert replay.skipped_ns == years_ns - 2 * S - AFTER_NS

@@ -235,6 +235,8 @@ def _geodetic(
     geodetic = np.column_stack([np.radians(degrees[:, ::-1]), height])
     if len(geodetic) == 0:
         raise ConfigError(f"{where}: has no coordinates")
+    if not np.all(np.abs(height) <= _HIGHEST_M):
+        raise ConfigError(f"{where}: heights must be within {_HIGHEST_M:.0f} m")
     level = LocalLevel(float(geodetic[0, 0]), float(geodetic[0, 1]), float(height[0]))
     plan = level.from_geodetic(geodetic)[:, :2]
     kept = [0]
@@ -243,8 +245,6 @@ def _geodetic(
             kept.append(index)
     if len(kept) < 2:
         raise ConfigError(f"{where}: needs two nodes at least")
-    if not np.all(np.abs(height) <= _HIGHEST_M):
-        raise ConfigError(f"{where}: heights must be within {_HIGHEST_M:.0f} m")
     if not np.hypot(*np.diff(plan[kept], axis=0).T).sum() <= _LONGEST_M:
         raise ConfigError(
             f"{where}: is longer than {_LONGEST_M / 1000:.0f} km; are its nodes right?"
@@ -269,6 +269,8 @@ def _points_beside(features: list[dict[str, Any]], geodetic: Array) -> list[floa
             continue
         try:
             longitude_deg, latitude_deg = (float(each) for each in geometry["coordinates"][:2])
+            if not (abs(longitude_deg) <= 360.0 and abs(latitude_deg) <= 90.0):
+                continue
         except (KeyError, TypeError, ValueError):
             continue  # a point of nowhere is beside no line
         point = level.from_geodetic(

@@ -19,6 +19,7 @@ from msgspec import Meta
 from tramstream import config, geodesy
 from tramstream.config import NotNegative, Positive, Struct, Vector, VehicleId
 from tramstream.errors import ConfigError
+from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
 from tramstream.simulation.body import Body, Number
 from tramstream.simulation.event_kinds import (
     SIDES,
@@ -209,7 +210,7 @@ def load(name: str) -> Scenario:
         file = resources.files("tramstream") / "data" / "scenarios" / f"{name}.toml"
         return parse(file.read_bytes(), f"scenario {name}")
     try:
-        return parse(Path(name).read_bytes(), name)
+        return parse(read_limited(Path(name), TEXT_LIMIT_BYTES), name)
     except OSError as error:
         raise ConfigError(
             f"scenario {name}: cannot be read ({error.strerror}); give a file or one of "

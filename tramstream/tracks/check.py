@@ -38,7 +38,7 @@ _LIMITS = {
     "east": _FAR_M,
     "north": _FAR_M,
     "yaw_rad": 1e6,
-    "curvature_per_m": 1e3,
+    "curvature_per_m": 10.0,
     "across_std_m": _FAR_M,
     "yaw_std_rad": 1e3,
     "height": 1e5,
