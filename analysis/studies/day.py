@@ -1,9 +1,9 @@
 """A simulated day of eight hours through the filter with and without its map: does anything grow?
 
-The day is that of `day_way`, with the sensors of scenario `city` (IMU read at 400 Hz, as in
-`worlds`). The same frames go to a filter without a map and to one with it. Each eighth of the day
-is judged by itself and then forgotten, so that what the process holds more at its end is what the
-processors keep. Their memory is counted as it would be written for a restart; core time is that of
+The day is that of `day_way`, with the sensors of scenario `city`, its IMU read four times a frame.
+The same frames go to a filter without a map and to one with it. Each eighth of the day is judged by
+itself and then forgotten, so that what the process holds more at its end is what the processors
+keep. Their memory is counted as it would be written for a restart; core time is that of
 filter and matcher alone.
 """
 
@@ -28,7 +28,7 @@ from tramstream.analysis.studies.day_way import Day, day
 from tramstream.analysis.studies.matching_columns import Said
 from tramstream.analysis.studies.matching_figures import TRACK
 from tramstream.analysis.studies.states import SaidStates, truth_at
-from tramstream.analysis.studies.worlds import SEED, base
+from tramstream.analysis.studies.worlds import FREE, MAPPED, SEED, base
 from tramstream.clock import S
 from tramstream.events.kinds import Severity
 from tramstream.graph import Graph
@@ -47,6 +47,10 @@ HOURS = 8.0
 HOUR_S = 3600.0
 PARTS = 8
 """Judged by themselves."""
+FRAME_HZ = 100.0
+"""Frames a second, each of `SAMPLES` inertial samples; fewer cost less."""
+SAMPLES = 4
+BATCH_S = 0.05
 TICK_NS = S // 10
 JUDGED_NS = S // 5
 """From one judged frame to the next."""
@@ -63,6 +67,8 @@ class Case(NamedTuple):
     """LINE/DIRECTION, gone one after another."""
     hours: float = HOURS
     seed: int = SEED
+    frame_hz: float = FRAME_HZ
+    filters: tuple[str, ...] = (FREE, MAPPED)
 
     @property
     def day_s(self) -> float:
@@ -96,7 +102,7 @@ class Part(NamedTuple):
     right_track_share: float | None
     frames: int
     step_us: float
-    """Core time a frame."""
+    """Core time a frame, which grows with the machine's load."""
     memory_bytes: int
     """Of the processors, at the end."""
     process_bytes: int
@@ -135,7 +141,8 @@ def study(case: Case, stopped: Callable[[], bool] = lambda: False) -> Iterator[P
 def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False) -> Iterator[Part]:
     """Go through a day that is set up."""
     vehicle = made.simulation.vehicle  # as an operator knows it: of the sensors alone
-    runs = [_Run(vehicle), _Run(replace(vehicle, map=config.Map(network=case.network)))]
+    mapped = replace(vehicle, map=config.Map(network=case.network))
+    runs = [_Run(mapped if each == MAPPED else vehicle) for each in case.filters]
     length_s = made.simulation.duration_s / PARTS
     number, time_s = 1, 0.0
     for frame in _frames(made.simulation, vehicle):
@@ -260,7 +267,7 @@ class Growth(NamedTuple):
 
     with_map: bool
     step: float
-    """Core time a frame."""
+    """Core time a frame, which grows with the machine's load."""
     memory: float
     process: float
     """Over the second part: in the first the network and kernels are loaded."""
