@@ -3,8 +3,8 @@
 The day is that of `day_way`, with the sensors of scenario `city`, its IMU read four times a frame.
 The same frames go to a filter without a map and to one with it. Each eighth of the day is judged by
 itself and then forgotten, so that what the process holds more at its end is what the processors
-keep. Their memory is counted as it would be written for a restart; core time is that of
-filter and matcher alone.
+keep. Their memory, with that of resampler and configuration's check, is counted as it would be
+written for a restart; core time is that of filter and matcher alone.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from tramstream.events.kinds import Severity
 from tramstream.graph import Graph
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
+from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
@@ -103,12 +104,17 @@ class Part(NamedTuple):
     frames: int
     step_us: float
     """Core time a frame, which grows with the machine's load."""
-    memory_bytes: int
-    """Of the processors, at the end."""
+    memory: dict[str, int]
+    """Bytes, of each processor, at the end."""
     process_bytes: int
     """Resident, at the end: of the whole process, with the simulator and both filters."""
     raised: dict[str, int]
     """Events, warnings and worse, by kind."""
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of all processors."""
+        return sum(self.memory.values())
 
 
 class Setting(NamedTuple):
@@ -142,10 +148,11 @@ def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False
     """Go through a day that is set up."""
     vehicle = made.simulation.vehicle  # as an operator knows it: of the sensors alone
     mapped = replace(vehicle, map=config.Map(network=case.network))
-    runs = [_Run(mapped if each == MAPPED else vehicle) for each in case.filters]
+    shared: list[Processor] = [Resampler(vehicle), ConfigurationCheck(vehicle)]
+    runs = [_Run(mapped if each == MAPPED else vehicle, shared) for each in case.filters]
     length_s = made.simulation.duration_s / PARTS
     number, time_s = 1, 0.0
-    for frame in _frames(made.simulation, vehicle):
+    for frame in _frames(made.simulation, Graph(shared)):
         time_s = (frame.stamp_ns - EPOCH_NS) / S
         while number < PARTS and time_s >= number * length_s:
             span_s = ((number - 1) * length_s, number * length_s)
@@ -158,9 +165,9 @@ def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False
     yield from (_part(case, made, run, number, ((number - 1) * length_s, time_s)) for run in runs)
 
 
-def _frames(simulation: Simulation, vehicle: config.Vehicle) -> Iterator[Sample]:
+def _frames(simulation: Simulation, graph: Graph) -> Iterator[Sample]:
     """Frames as the resampler makes them; time passes as in the processors' process."""
-    graph, next_ns = Graph([Resampler(vehicle)]), 0
+    next_ns = 0
     for sample in simulation.samples():
         next_ns = next_ns or sample.publish_ns + TICK_NS
         while sample.publish_ns >= next_ns:
@@ -177,12 +184,13 @@ def _released(graph: Graph, sample: Sample) -> Iterator[Sample]:
 class _Run:
     """A filter on its way, and what it says in a part of the day."""
 
-    def __init__(self, vehicle: config.Vehicle) -> None:
+    def __init__(self, vehicle: config.Vehicle, shared: Sequence[Processor]) -> None:
         self.with_map = vehicle.map is not None
-        self.stages: list[Processor] = [LocalisationFilter(vehicle)]
+        stages: list[Processor] = [LocalisationFilter(vehicle)]
         if self.with_map:
-            self.stages.append(MapMatcher(vehicle))
-        self._graph = Graph(self.stages)
+            stages.append(MapMatcher(vehicle))
+        self._graph = Graph(stages)
+        self._all = [*shared, *stages]
         self._judged_ns = 0
         self.forget()
 
@@ -193,8 +201,9 @@ class _Run:
         self.frames, self.core_s = 0, 0.0
 
     @property
-    def memory_bytes(self) -> int:
-        return sum(len(snapshots.pack(stage.snapshot())) for stage in self.stages)
+    def memory(self) -> dict[str, int]:
+        """Bytes of each processor, those that all runs share among them."""
+        return {each.name: len(snapshots.pack(each.snapshot())) for each in self._all}
 
     def step(self, frame: Sample) -> None:
         began_s = time.thread_time()
@@ -248,7 +257,7 @@ def _part(case: Case, made: Setting, run: _Run, number: int, span_s: tuple[float
         right_track_share=track,
         frames=run.frames,
         step_us=run.core_s / run.frames * 1e6 if run.frames else nothing,
-        memory_bytes=run.memory_bytes,
+        memory=run.memory,
         process_bytes=process_bytes(),
         raised=dict(run.raised),
     )
