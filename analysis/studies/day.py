@@ -135,7 +135,17 @@ def setting(case: Case) -> Setting:
     ride = lay(network, plan.route, rails_rng)
     chosen = base()
     driver = replace(chosen.driver, turns_back=plan.turns_back, breaks=plan.breaks)
-    chosen = replace(chosen, driver=driver, end_s=case.day_s, events=(*chosen.events, *plan.events))
+    assert chosen.imu is not None
+    rate_hz = SAMPLES * case.frame_hz
+    imu = replace(chosen.imu, rate_hz=rate_hz, batch=max(round(BATCH_S * rate_hz), 1))
+    chosen = replace(
+        chosen,
+        driver=driver,
+        imu=imu,
+        resampler=config.Resampler(factor=SAMPLES),
+        end_s=case.day_s,
+        events=(*chosen.events, *plan.events),
+    )
     return Setting(plan, ride, Simulation(ride.line, chosen, case.seed, case.day_s))
 
 
