@@ -40,6 +40,7 @@ from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
+from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay
 
@@ -125,6 +126,15 @@ class Setting(NamedTuple):
     simulation: Simulation
 
 
+def sensors(frame_hz: float) -> Scenario:
+    """Give the sensors of the worlds, the IMU read `SAMPLES` times a frame."""
+    chosen = base()
+    assert chosen.imu is not None
+    rate_hz = SAMPLES * frame_hz
+    imu = replace(chosen.imu, rate_hz=rate_hz, batch=max(round(BATCH_S * rate_hz), 1))
+    return replace(chosen, imu=imu, resampler=config.Resampler(factor=SAMPLES))
+
+
 def setting(case: Case) -> Setting:
     """Lay the day's way and set up its sensors."""
     network = matching.load(case.network)
@@ -133,19 +143,10 @@ def setting(case: Case) -> Setting:
     way_rng, rails_rng = np.random.default_rng(case.seed).spawn(2)
     plan = day(network, lines, case.rounds, case.day_s, way_rng)
     ride = lay(network, plan.route, rails_rng)
-    chosen = base()
+    chosen = sensors(case.frame_hz)
     driver = replace(chosen.driver, turns_back=plan.turns_back, breaks=plan.breaks)
-    assert chosen.imu is not None
-    rate_hz = SAMPLES * case.frame_hz
-    imu = replace(chosen.imu, rate_hz=rate_hz, batch=max(round(BATCH_S * rate_hz), 1))
-    chosen = replace(
-        chosen,
-        driver=driver,
-        imu=imu,
-        resampler=config.Resampler(factor=SAMPLES),
-        end_s=case.day_s,
-        events=(*chosen.events, *plan.events),
-    )
+    events = (*chosen.events, *plan.events)
+    chosen = replace(chosen, driver=driver, end_s=case.day_s, events=events)
     return Setting(plan, ride, Simulation(ride.line, chosen, case.seed, case.day_s))
 
 

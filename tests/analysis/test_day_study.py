@@ -10,11 +10,14 @@ import pytest
 from msgspec.structs import replace
 from networks import PARALLEL_M, Made, after, curved, laid, left_of, made, straight
 
+from tramstream import config
 from tramstream.analysis.studies import day as study
 from tramstream.analysis.studies import day_way
 from tramstream.analysis.studies.day import Case, Part, Setting
 from tramstream.analysis.studies.worlds import base
 from tramstream.errors import ConfigError
+from tramstream.graph import Graph
+from tramstream.processors.resampling.resampler import Resampler
 from tramstream.simulation.event_kinds import GnssRateLost, ImuLost
 from tramstream.simulation.ride import Ride
 from tramstream.simulation.simulation import Simulation
@@ -106,6 +109,13 @@ def test_sensors_are_off_for_an_eighth_of_the_day() -> None:
 def test_as_many_rounds_as_fit() -> None:
     assert Case("net").rounds == 3
     assert Case("net", hours=2.0).rounds == 1
+
+
+def test_sensors_are_those_of_the_worlds_but_for_the_frames() -> None:
+    assert study.sensors(100.0) == replace(base(), resampler=config.Resampler(factor=4))
+    slow = Simulation(laid(straight(200.0)), study.sensors(20.0), 1, 10.0)
+    frames = list(study._frames(slow, Graph([Resampler(slow.vehicle)])))
+    assert len(frames) == pytest.approx(200, abs=10)
 
 
 # Growth -------------------------------------------------------------------------------------------
