@@ -40,7 +40,8 @@ def reproduce(
         list[str] | None,
         typer.Option(
             help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m; "
-            "default all. matching: plain (the default), slow or gyro. May be given several times.",
+            "default all. matching: plain (the default), slow or gyro. day: no map, map; "
+            "default both. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[
@@ -77,6 +78,10 @@ def reproduce(
         float | None,
         typer.Option(help="day: of which length; default 8.", min=0.1, max=24.0),
     ] = None,
+    frame_hz: Annotated[
+        float | None,
+        typer.Option("--frame-hz", help="day: frames a second; default 100.", min=10, max=100),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
@@ -91,4 +96,5 @@ def reproduce(
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
+    options = replace(options, frame_hz=frame_hz)
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

@@ -1,10 +1,10 @@
 """A simulated day of eight hours through the filter with and without its map: does anything grow?
 
-The day is that of `day_way`, with the sensors of scenario `city` (IMU read at 400 Hz, as in
-`worlds`). The same frames go to a filter without a map and to one with it. Each eighth of the day
-is judged by itself and then forgotten, so that what the process holds more at its end is what the
-processors keep. Their memory is counted as it would be written for a restart; core time is that of
-filter and matcher alone.
+The day is that of `day_way`, with the sensors of scenario `city`, its IMU read four times a frame.
+The same frames go to a filter without a map and to one with it. Each eighth of the day is judged by
+itself and then forgotten, so that what the process holds more at its end is what the processors
+keep. Their memory, with that of resampler and configuration's check, is counted as it would be
+written for a restart; core time is that of filter and matcher alone.
 """
 
 from __future__ import annotations
@@ -28,17 +28,19 @@ from tramstream.analysis.studies.day_way import Day, day
 from tramstream.analysis.studies.matching_columns import Said
 from tramstream.analysis.studies.matching_figures import TRACK
 from tramstream.analysis.studies.states import SaidStates, truth_at
-from tramstream.analysis.studies.worlds import SEED, base
+from tramstream.analysis.studies.worlds import FREE, MAPPED, SEED, base
 from tramstream.clock import S
 from tramstream.events.kinds import Severity
 from tramstream.graph import Graph
 from tramstream.live import snapshots
 from tramstream.processor import Processor, Sample
+from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.proto import health_pb2
 from tramstream.proto.sync_pb2 import Tick
+from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 from tramstream.simulation.track_rides import NetworkRide, lay
 
@@ -47,6 +49,10 @@ HOURS = 8.0
 HOUR_S = 3600.0
 PARTS = 8
 """Judged by themselves."""
+FRAME_HZ = 100.0
+"""Frames a second, each of `SAMPLES` inertial samples; fewer cost less."""
+SAMPLES = 4
+BATCH_S = 0.05
 TICK_NS = S // 10
 JUDGED_NS = S // 5
 """From one judged frame to the next."""
@@ -63,6 +69,8 @@ class Case(NamedTuple):
     """LINE/DIRECTION, gone one after another."""
     hours: float = HOURS
     seed: int = SEED
+    frame_hz: float = FRAME_HZ
+    filters: tuple[str, ...] = (FREE, MAPPED)
 
     @property
     def day_s(self) -> float:
@@ -96,13 +104,18 @@ class Part(NamedTuple):
     right_track_share: float | None
     frames: int
     step_us: float
-    """Core time a frame."""
-    memory_bytes: int
-    """Of the processors, at the end."""
+    """Core time a frame, which grows with the machine's load."""
+    memory: dict[str, int]
+    """Bytes, of each processor, at the end."""
     process_bytes: int
     """Resident, at the end: of the whole process, with the simulator and both filters."""
     raised: dict[str, int]
     """Events, warnings and worse, by kind."""
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of all processors."""
+        return sum(self.memory.values())
 
 
 class Setting(NamedTuple):
@@ -113,6 +126,15 @@ class Setting(NamedTuple):
     simulation: Simulation
 
 
+def sensors(frame_hz: float) -> Scenario:
+    """Give the sensors of the worlds, the IMU read `SAMPLES` times a frame."""
+    chosen = base()
+    assert chosen.imu is not None
+    rate_hz = SAMPLES * frame_hz
+    imu = replace(chosen.imu, rate_hz=rate_hz, batch=max(round(BATCH_S * rate_hz), 1))
+    return replace(chosen, imu=imu, resampler=config.Resampler(factor=SAMPLES))
+
+
 def setting(case: Case) -> Setting:
     """Lay the day's way and set up its sensors."""
     network = matching.load(case.network)
@@ -121,9 +143,10 @@ def setting(case: Case) -> Setting:
     way_rng, rails_rng = np.random.default_rng(case.seed).spawn(2)
     plan = day(network, lines, case.rounds, case.day_s, way_rng)
     ride = lay(network, plan.route, rails_rng)
-    chosen = base()
+    chosen = sensors(case.frame_hz)
     driver = replace(chosen.driver, turns_back=plan.turns_back, breaks=plan.breaks)
-    chosen = replace(chosen, driver=driver, end_s=case.day_s, events=(*chosen.events, *plan.events))
+    events = (*chosen.events, *plan.events)
+    chosen = replace(chosen, driver=driver, end_s=case.day_s, events=events)
     return Setting(plan, ride, Simulation(ride.line, chosen, case.seed, case.day_s))
 
 
@@ -135,10 +158,12 @@ def study(case: Case, stopped: Callable[[], bool] = lambda: False) -> Iterator[P
 def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False) -> Iterator[Part]:
     """Go through a day that is set up."""
     vehicle = made.simulation.vehicle  # as an operator knows it: of the sensors alone
-    runs = [_Run(vehicle), _Run(replace(vehicle, map=config.Map(network=case.network)))]
+    mapped = replace(vehicle, map=config.Map(network=case.network))
+    shared: list[Processor] = [Resampler(vehicle), ConfigurationCheck(vehicle)]
+    runs = [_Run(mapped if each == MAPPED else vehicle, shared) for each in case.filters]
     length_s = made.simulation.duration_s / PARTS
     number, time_s = 1, 0.0
-    for frame in _frames(made.simulation, vehicle):
+    for frame in _frames(made.simulation, Graph(shared)):
         time_s = (frame.stamp_ns - EPOCH_NS) / S
         while number < PARTS and time_s >= number * length_s:
             span_s = ((number - 1) * length_s, number * length_s)
@@ -151,9 +176,9 @@ def parts(case: Case, made: Setting, stopped: Callable[[], bool] = lambda: False
     yield from (_part(case, made, run, number, ((number - 1) * length_s, time_s)) for run in runs)
 
 
-def _frames(simulation: Simulation, vehicle: config.Vehicle) -> Iterator[Sample]:
+def _frames(simulation: Simulation, graph: Graph) -> Iterator[Sample]:
     """Frames as the resampler makes them; time passes as in the processors' process."""
-    graph, next_ns = Graph([Resampler(vehicle)]), 0
+    next_ns = 0
     for sample in simulation.samples():
         next_ns = next_ns or sample.publish_ns + TICK_NS
         while sample.publish_ns >= next_ns:
@@ -170,12 +195,13 @@ def _released(graph: Graph, sample: Sample) -> Iterator[Sample]:
 class _Run:
     """A filter on its way, and what it says in a part of the day."""
 
-    def __init__(self, vehicle: config.Vehicle) -> None:
+    def __init__(self, vehicle: config.Vehicle, shared: Sequence[Processor]) -> None:
         self.with_map = vehicle.map is not None
-        self.stages: list[Processor] = [LocalisationFilter(vehicle)]
+        stages: list[Processor] = [LocalisationFilter(vehicle)]
         if self.with_map:
-            self.stages.append(MapMatcher(vehicle))
-        self._graph = Graph(self.stages)
+            stages.append(MapMatcher(vehicle))
+        self._graph = Graph(stages)
+        self._all = [*shared, *stages]
         self._judged_ns = 0
         self.forget()
 
@@ -186,8 +212,9 @@ class _Run:
         self.frames, self.core_s = 0, 0.0
 
     @property
-    def memory_bytes(self) -> int:
-        return sum(len(snapshots.pack(stage.snapshot())) for stage in self.stages)
+    def memory(self) -> dict[str, int]:
+        """Bytes of each processor, those that all runs share among them."""
+        return {each.name: len(snapshots.pack(each.snapshot())) for each in self._all}
 
     def step(self, frame: Sample) -> None:
         began_s = time.thread_time()
@@ -241,7 +268,7 @@ def _part(case: Case, made: Setting, run: _Run, number: int, span_s: tuple[float
         right_track_share=track,
         frames=run.frames,
         step_us=run.core_s / run.frames * 1e6 if run.frames else nothing,
-        memory_bytes=run.memory_bytes,
+        memory=run.memory,
         process_bytes=process_bytes(),
         raised=dict(run.raised),
     )
@@ -260,7 +287,7 @@ class Growth(NamedTuple):
 
     with_map: bool
     step: float
-    """Core time a frame."""
+    """Core time a frame, which grows with the machine's load."""
     memory: float
     process: float
     """Over the second part: in the first the network and kernels are loaded."""

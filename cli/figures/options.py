@@ -22,3 +22,4 @@ class Options:
     detours: int | None = None
     worlds: tuple[str, ...] = ()
     hours: float | None = None
+    frame_hz: float | None = None

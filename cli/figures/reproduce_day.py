@@ -54,7 +54,14 @@ def _case(options: Options) -> Case:
         case = case._replace(seed=options.seed)
     if options.lines:
         case = case._replace(lines=options.lines)
-    return case._replace(hours=options.hours) if options.hours else case
+    if options.hours is not None:
+        case = case._replace(hours=options.hours)
+    if options.frame_hz is not None:
+        case = case._replace(frame_hz=options.frame_hz)
+    for kind in options.kinds:
+        if kind not in case.filters:
+            raise ConfigError(f"no filter is called {kind!r}; there are: {', '.join(case.filters)}")
+    return case._replace(filters=options.kinds) if options.kinds else case
 
 
 def _sentence(part: Part) -> str:
@@ -97,7 +104,10 @@ def _print(
     console: Console, case: Case, parts: Sequence[Part], grown: Sequence[Growth], elapsed_s: float
 ) -> None:
     for with_map, word in ((False, "no map"), (True, "with a map")):
-        title = f"{NAME}: {', '.join(case.lines)}, {case.hours:g} h, seed {case.seed}, {word}"
+        if not any(part.with_map == with_map for part in parts):
+            continue
+        ride = f"{', '.join(case.lines)}, {case.hours:g} h at {case.frame_hz:g} Hz"
+        title = f"{NAME}: {ride}, seed {case.seed}, {word}"
         table = Table(title=title, box=None, pad_edge=False, collapse_padding=True)
         table.add_column("part")
         for column in _COLUMNS:

@@ -10,11 +10,14 @@ import pytest
 from msgspec.structs import replace
 from networks import PARALLEL_M, Made, after, curved, laid, left_of, made, straight
 
+from tramstream import config
 from tramstream.analysis.studies import day as study
 from tramstream.analysis.studies import day_way
 from tramstream.analysis.studies.day import Case, Part, Setting
 from tramstream.analysis.studies.worlds import base
 from tramstream.errors import ConfigError
+from tramstream.graph import Graph
+from tramstream.processors.resampling.resampler import Resampler
 from tramstream.simulation.event_kinds import GnssRateLost, ImuLost
 from tramstream.simulation.ride import Ride
 from tramstream.simulation.simulation import Simulation
@@ -108,8 +111,18 @@ def test_as_many_rounds_as_fit() -> None:
     assert Case("net", hours=2.0).rounds == 1
 
 
+def test_sensors_are_those_of_the_worlds_but_for_the_frames() -> None:
+    assert study.sensors(100.0) == replace(base(), resampler=config.Resampler(factor=4))
+    slow = Simulation(laid(straight(200.0)), study.sensors(20.0), 1, 10.0)
+    frames = list(study._frames(slow, Graph([Resampler(slow.vehicle)])))
+    assert len(frames) == pytest.approx(200, abs=10)
+
+
 # Growth -------------------------------------------------------------------------------------------
 WAY_M = 250.0
+LIMITS = {"ekf": 1.05, "map_matcher": 1.05, "resampler": 1.25, "configuration_check": 1.5}
+"""Memory at the end over that in the middle. What waits in the resampler hangs on the moment; the
+check keeps two minutes of driving, and there are no more in this ride."""
 
 
 def shuttle(path: Path) -> tuple[Case, Setting]:
@@ -140,8 +153,9 @@ def test_memory_of_filter_and_matcher_does_not_grow_and_figures_stay(tmp_path: P
     assert len(found) == 2 * study.PARTS
     for with_map in (False, True):
         own = [each for each in found if each.with_map == with_map]
-        # From the middle on all bounded histories are full.
-        assert own[-1].memory_bytes <= 1.05 * own[study.PARTS // 2].memory_bytes
+        for name, size in own[-1].memory.items():
+            assert size <= LIMITS[name] * own[study.PARTS // 2].memory[name], name
+        assert len(own[-1].memory) == len(LIMITS) - (not with_map)
         assert all(each.p90_m < 4.0 for each in own[2:])  # fixes of 1.0 m per axis
         assert sum(each.frames for each in own) > 90 * made.simulation.duration_s
     assert sum(each.way_m for each in found) == pytest.approx(2 * 3 * WAY_M, rel=0.02)
@@ -159,12 +173,13 @@ def test_day_that_is_stopped_is_judged_as_far_as_it_came(tmp_path: Path) -> None
 
 def part(number: int, **fields: float) -> Part:
     values = dict.fromkeys(Part._fields, 1.0) | {"number": number, "with_map": False, "raised": {}}
-    return Part(**{**values, **fields})  # type: ignore[arg-type]
+    memory = {"ekf": int(fields.pop("memory", 1.0)), "map": 0}
+    return Part(**{**values, **fields, "memory": memory})  # type: ignore[arg-type]
 
 
 def test_growth_is_that_of_the_last_part() -> None:
     few = [part(1), part(2)]
     assert study.growth(few, False) is None
-    grown = study.growth([*few, part(3, memory_bytes=3.0, step_us=2.0, process_bytes=1.5)], False)
+    grown = study.growth([*few, part(3, memory=3.0, step_us=2.0, process_bytes=1.5)], False)
     assert grown == (False, 2.0, 3.0, 1.5)
     assert study.growth(few, True) is None
