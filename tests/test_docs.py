@@ -62,8 +62,9 @@ def test_scenarios_of_the_simulation_page_are_some() -> None:
 
     page = (REPOSITORY / "docs" / "simulation.md").read_text()
     blocks = [each.split("```")[0] for each in page.split("```toml\n")[1:]]
-    body, rails, scenario = (parse(each.encode(), "simulation.md") for each in blocks)
+    body, cabs, rails, scenario = (parse(each.encode(), "simulation.md") for each in blocks)
     assert body.body is not None
+    assert cabs.driver.turns_back == (5, 3)
     assert rails.track.roughness.felt
     assert scenario.reverse
     assert len(scenario.events) == 2

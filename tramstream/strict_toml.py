@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
+import operator
 import re
+from collections.abc import Callable
 from functools import cache
 from typing import Any, TypeVar
 
@@ -147,16 +149,16 @@ def _check_range(value: float, expected: msgspec.inspect.Type, path: str) -> Non
     """
     if not isinstance(expected, msgspec.inspect.IntType | msgspec.inspect.FloatType):
         return
-    bounds = (
-        (expected.gt, ">", lambda bound: value > bound),
-        (expected.ge, ">=", lambda bound: value >= bound),
-        (expected.lt, "<", lambda bound: value < bound),
-        (expected.le, "<=", lambda bound: value <= bound),
-    )
-    known = [each for each in bounds if each[0] is not None]
-    if all(holds(bound) for bound, _, holds in known):
+    within: dict[str, tuple[float | None, Callable[[Any, Any], bool]]] = {
+        ">": (expected.gt, operator.gt),
+        ">=": (expected.ge, operator.ge),
+        "<": (expected.lt, operator.lt),
+        "<=": (expected.le, operator.le),
+    }
+    known = [(sign, bound, holds) for sign, (bound, holds) in within.items() if bound is not None]
+    if all(holds(value, bound) for _, bound, holds in known):
         return
-    allowed = " and ".join(f"{sign} {bound:.15g}" for bound, sign, _ in known)
+    allowed = " and ".join(f"{sign} {bound:.15g}" for sign, bound, _ in known)
     raise ValueError(f"{path}: {value!r:.40} is out of range; it must be {allowed}")
 
 
