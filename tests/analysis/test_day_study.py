@@ -112,7 +112,10 @@ def test_as_many_rounds_as_fit() -> None:
 
 
 def test_sensors_are_those_of_the_worlds_but_for_the_frames() -> None:
-    assert study.sensors(100.0) == replace(base(), resampler=config.Resampler(factor=4))
+    found = study.sensors(100.0)
+    assert found.imu == base().imu
+    assert found.wheels == base().wheels
+    assert found.resampler == config.Resampler(factor=4)
     slow = Simulation(laid(straight(200.0)), study.sensors(20.0), 1, 10.0)
     frames = list(study._frames(slow, Graph([Resampler(slow.vehicle)])))
     assert len(frames) == pytest.approx(200, abs=10)
