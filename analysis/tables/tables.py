@@ -155,7 +155,7 @@ def find_files(mapping: Path, names: list[str], given: list[str]) -> dict[str, P
             found[named[0]] = path
     for name in names:
         for folder in [*folders, mapping.parent]:
-            if name not in found and (folder / name).is_file():
+            if name not in found and _is_file(folder / name):
                 found[name] = folder / name
         if name not in found:
             places = " nor ".join(str(folder) for folder in [*folders, mapping.parent])
@@ -163,6 +163,14 @@ def find_files(mapping: Path, names: list[str], given: list[str]) -> dict[str, P
                 f"{mapping}: {name} is not in {places}; give it, or its folder, with --csv"
             )
     return found
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file is there; a name that no disk takes is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def parse_cut(text: str) -> tuple[float, float]:
@@ -197,7 +205,7 @@ def _given(
     """Which fixes the filter gets."""
     given: Mask = np.ones(len(stamps), bool)
     if table.every_s is not None:
-        given = columns.nearest_to_multiples(stamps, round(table.every_s * S))
+        given = columns.nearest_to_multiples(stamps, max(round(table.every_s * S), 1))
     for begin_s, end_s in cuts:
         after_s = (stamps - start_ns) / S
         given &= (after_s < begin_s) | (after_s >= end_s)

@@ -855,3 +855,9 @@ def test_smartloc_holds_odometry_fixes_and_reference(data_dir: Path, tmp_path: P
     rms_m = math.sqrt(np.mean(np.sum(errors**2, axis=1)))
     assert rms_m == pytest.approx(34.6, abs=0.1)  # ../shared/data/README.md
     assert fixes[0].horizontal_std_m == pytest.approx(rms_m, rel=0.05)
+
+
+def test_table_whose_name_no_disk_takes_is_not_found(tmp_path: Path) -> None:
+    (tmp_path / "ride.toml").write_text(RELATIVE + GNSS.replace("gnss.csv", "x" * 5000))
+    with pytest.raises(ConfigError, match="is not in"):
+        Tables(tmp_path / "ride.toml", [], [])

@@ -173,3 +173,11 @@ def test_time_that_none_can_be_is_none(time):
 def test_trace_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read(tmp_path / "no.gpx")
+
+
+@pytest.mark.parametrize("time", [1e308, -1e308, 1e30, "9" * 5000])
+def test_time_that_no_clock_shows_is_none(time: object) -> None:
+    line = {"type": "LineString", "coordinates": [[14.4, 50.0], [14.41, 50.0], [14.42, 50.0]]}
+    document = {"type": "Feature", "properties": {"times": [time, 1, 2]}, "geometry": line}
+    trace = parse(json.dumps(document).encode(), "a.geojson")
+    assert np.all(trace.stamp_ns >= 0)

@@ -199,3 +199,10 @@ def test_works_know_no_body_and_no_rough_rails() -> None:
             chosen = load(name)
             assert chosen.body is None
             assert not chosen.track.roughness.felt
+
+
+@pytest.mark.parametrize("field", ["stamp_offset_s", "stamp_jitter_s", "latency_s"])
+def test_delay_of_years_is_refused_with_its_range(field: str) -> None:
+    text = f"[wheels.timing]\n{field} = 1e9\n"
+    with pytest.raises(ConfigError, match=rf"{field}: .* out of range; it must be .*<= 100000"):
+        parse(text.encode(), "s")

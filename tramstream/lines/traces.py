@@ -243,6 +243,8 @@ def _stamp_ns(value: Any) -> int | None:
     """Nanoseconds since 1970 of an ISO time (UTC where it names no zone) or a number."""
     number = _number(value)
     if math.isfinite(number):
+        # Before it is multiplied: what is farther off than that has no nanoseconds.
+        number = min(max(number, -1.0), 1e16)
         stamp_ns = round(number * 1e6) if number > _MILLISECONDS else round(number * 1e9)
     else:
         try:

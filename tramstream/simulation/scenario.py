@@ -61,17 +61,22 @@ __all__ = [
 ]
 
 
+Delay = Annotated[float, Meta(ge=0, le=100_000)]
+Offset = Annotated[float, Meta(ge=-100_000, le=100_000)]
+"""Seconds of a day: several deviations more are still instants that a stamp can hold."""
+
+
 class Timing(Struct, frozen=True, kw_only=True):
     """When a sensor's message says that it was true, and when it is published."""
 
-    stamp_offset_s: float = 0.0
+    stamp_offset_s: Offset = 0.0
     """The stamp is later than the truth by so much."""
-    stamp_jitter_s: NotNegative = 0.0
+    stamp_jitter_s: Delay = 0.0
     """Deviation of the stamp around that."""
-    latency_s: NotNegative = 0.0
+    latency_s: Delay = 0.0
     """From the truth until publication at the earliest; a stamp is never published before its
     time."""
-    latency_jitter_s: NotNegative = 0.0
+    latency_jitter_s: Delay = 0.0
     """Up to so much later, all delays alike."""
 
 
