@@ -135,11 +135,10 @@ def sensors(frame_hz: float) -> Scenario:
     chosen = base()
     assert chosen.imu is not None
     assert chosen.gnss is not None
-    errors = replace(chosen.gnss.errors, standing_drift_mps=0.0)
-    chosen = replace(chosen, gnss=replace(chosen.gnss, errors=errors))
     rate_hz = SAMPLES * frame_hz
     imu = replace(chosen.imu, rate_hz=rate_hz, batch=max(round(BATCH_S * rate_hz), 1))
-    return replace(chosen, imu=imu, resampler=config.Resampler(factor=SAMPLES))
+    gnss = replace(chosen.gnss, errors=replace(chosen.gnss.errors, standing_drift_mps=0.0))
+    return replace(chosen, imu=imu, gnss=gnss, resampler=config.Resampler(factor=SAMPLES))
 
 
 def setting(case: Case) -> Setting:

@@ -182,7 +182,7 @@ def found_pivot(pivots_m: tuple[float, ...]) -> tuple[float, float, Errors]:
     ride = ridden(laid(PLAN + " | 100 L40/60 100 R30/60 200 |"), chosen, 1, 130.0)
     unsaid = altered(
         ride.simulation.vehicle,
-        ekf={"pivot_m": 0.0, "bogie_distance_m": 0.0},
+        ekf={"pivot_m": 0.0, "bogie_distance_m": 0.0, "pivot_std_m": -1.0},
         wheels={"bogie": ""},
     )
     localiser = TramLocaliser(unsaid)

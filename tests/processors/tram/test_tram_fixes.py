@@ -38,7 +38,7 @@ def test_deviation_of_an_axis_is_that_of_the_distance_over_root_two(
     """Truth: errors drawn on two axes; the root mean square of the distance is what is stated."""
     drawn = np.random.default_rng(1).normal(0.0, axis_m, (100_000, 2))
     distance_m = math.sqrt(np.mean(np.sum(drawn**2, axis=1)))
-    fix = GnssFix(horizontal_std_m=distance_m, vertical_std_m=up_m)
+    fix = GnssFix(height_ellipsoid_m=240.0, horizontal_std_m=distance_m, vertical_std_m=up_m)
     assert deviations(fix, FLOOR_M) == pytest.approx((axis_m, up_m), rel=0.01)
 
 
