@@ -212,6 +212,12 @@ class Search:
             return None
         return *gone.at(stamp_ns), gone.velocity
 
+    def has_heard(self, fix_ns: int) -> bool:
+        """Whether the velocity is known, and the last fix, of this instant, not too old for it."""
+        gone = self.memory.gone
+        known = self.memory.rested or gone.std_mps > 0.0
+        return known and gone.fix_ns - fix_ns < YOUNG_S * S
+
     def way_since_fix(self, stamp_ns: int) -> tuple[complex, float]:
         """Way since the last fix, and its variance."""
         return self.memory.gone.since(stamp_ns, BLIND_MPS2)

@@ -50,7 +50,8 @@ class Observer:
         stood = standstill.standing
         standing = standstill.step(stamp_ns, u, min(gap_s, 0.1), speed, variance, x[GYRO_Z])
         if not standing:
-            if stood and navigation.alone:
+            # Where there is an IMU that is silent, the search begins at the place of the fixes.
+            if stood and navigation.alone and (running or not navigation.readings.has_imu):
                 navigation.catch_up(*standstill.gone())
             heard = stamp_ns - memory.wheels_ns < HEARD_S * S
             memory.way_m += counted_m if heard else UNSEEN_MPS * gap_s

@@ -42,7 +42,7 @@ def unplaced(
     east, north, up = antenna_l(fix, navigation.level)
     std_m, std_up_m = navigation.accuracies_m(fix)
     way_m2, speed_mps = memory.way_m**2, memory.standstill.speed_over_ground_mps
-    if search is not None:
+    if search is not None and search.has_heard(fix.stamp_ns):
         way, way_m2 = search.way_since_fix(memory.stamp_ns)
         east, north = east + way.real, north + way.imag
     stds_m = math.hypot(std_m, math.sqrt(way_m2)), math.hypot(std_up_m, STEEPEST * memory.way_m)

@@ -93,7 +93,8 @@ class Readings:
         mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
         self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
         self._noise = MotionNoise(vehicle, self.memory.noise)
-        self._has_imu = imu is not None
+        self.has_imu = imu is not None
+        """Whether one is configured."""
 
     def read(self, frame: SyncFrame, ekf: TramFilter) -> int:
         """Take over the frame's inertial reading, or the bus' yaw rate."""
@@ -190,7 +191,7 @@ class Readings:
         """Let the bus' own yaw rate stand for a gyroscope."""
         # The bias that the filter knows is not that of this sensor, where there is an IMU.
         memory = self.memory
-        bias = ekf.state[GYRO_Z] if self._has_imu else 0.0
+        bias = ekf.state[GYRO_Z] if self.has_imu else 0.0
         for held in ("now", "between"):
             self._hold(held, ekf)
             self.inertial[held]["angular_rate"][0, Z] = reading.yaw_rate_radps + bias
