@@ -48,6 +48,8 @@ HEAVY_SIGMA = 2.5
 HEAVIEST, HEAVIEST_M = 100.0, 5.0
 """... but no more than by this, ten deviations, or to a deviation of so many metres if that is
 more. Beyond, every fix would be accepted and none would tell anything; chosen by hand."""
+BOASTED = 9.0
+"""Drifts of more than so many times the stated variance are believed; chosen by hand."""
 BOAST = 3.0
 """A receiver that errs by so many times what it states is said to boast; until it is half of that.
 Chosen by hand, guarded by `test_receiver_that_boasts_tenfold_is_said_and_weighed`."""
@@ -102,13 +104,13 @@ class FixNoise:
     def deviations(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of each horizontal axis and of the height, as far as it is known."""
         std, std_up = deviations(fix, self._floor_m)
-        scale = self._learned.scale
+        scale = self._scale
         return scale * std, scale * std_up
 
     @property
     def std_m(self) -> float:
         """Deviation of a horizontal axis, as far as it is known."""
-        return self._learned.scale * self.memory.std_m
+        return self._scale * self.memory.std_m
 
     def renew(self, ekf: TramFilter) -> None:
         """Take the error for another one from here on."""
@@ -122,15 +124,29 @@ class FixNoise:
         self._slow.forget()
 
     @property
+    def _fast_share(self) -> float:
+        """Variance of what lasts for the correlation time, over the stated one.
+
+        A filter that believes a boast follows its fixes, and their error by its place is too small.
+        """
+        drifts = self._slow.fast
+        return max(self._learned.fast, drifts if drifts > BOASTED else 0.0)
+
+    @property
+    def _scale(self) -> float:
+        """Deviation over the stated one."""
+        return max(self._learned.scale, math.sqrt(self._fast_share))
+
+    @property
     def _slow_share(self) -> float:
         """Variance of what lasts for minutes, over the stated one."""
         return max(self._learned.slow, self._slow.slow)
 
     def set(self, ekf: TramFilter, std: float, std_up: float) -> None:
         """Let the error be what it is taken for at a fix of the stated deviations."""
-        memory, learned = self.memory, self._learned
+        memory = self.memory
         memory.std_up_m = std_up
-        fast = std * math.sqrt(learned.fast)
+        fast = std * math.sqrt(self._fast_share)
         if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
             if memory.std_m != 0.0:
                 ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
@@ -160,7 +176,7 @@ class FixNoise:
 
     def _set_fast_error(self, ekf: TramFilter) -> None:
         """Let a place that fixes have given be as doubtful as they turn out to be."""
-        memory, fast = self.memory, self._learned.fast
+        memory, fast = self.memory, self._fast_share
         if fast > STEP * memory.fast:
             wider = math.sqrt(fast / memory.fast - 1.0)
             for state, error in ((Ix.EAST, Ix.GNSS_EAST), (Ix.NORTH, Ix.GNSS_NORTH)):
@@ -210,7 +226,7 @@ class FixNoise:
             east, north = east + verdicts[0].innovation, north + verdicts[1].innovation
         self._learned.see(stamp_ns, east, north, std)
         self._learn_drift(stamp_ns, ekf, (east, north), std, moved_m)
-        memory, times = self.memory, self._learned.scale
+        memory, times = self.memory, self._scale
         boasts = times > (BOAST / 2.0 if memory.boasts else BOAST)
         said, memory.boasts = memory.boasts or not boasts, boasts
         return [] if said else [RECEIVER_BOASTS(key=_KEY, times=times, stated_m=std)]
