@@ -150,7 +150,7 @@ def test_lookers_show_the_bytes(clean: Path, tmp_path: Path, seed: int) -> None:
 
 
 def test_reprocessing_leaves_out_what_was_left_out_live(clean: Path, tmp_path: Path) -> None:
-    wrong = dirty(clean, tmp_path / "d.mcap", 1, inputs_too=False)
+    wrong = dirty(clean, tmp_path / "d.mcap", 6, inputs_too=False)
     inputs = of(wrong, *INPUTS)
     assert len(inputs) == 3
     results = [
