@@ -133,6 +133,14 @@ class Processor(ABC):
         """What became of all that came in, one entry for each unit the stage counts in."""
         return []
 
+    def device_counters(self) -> dict[str, Any]:
+        """Figures of `DeviceHealth`, under its field names, of a bridge's device."""
+        return {}
+
+    def device_troubles(self) -> list[Event]:
+        """What is wrong now with a bridge's device, by what it says itself."""
+        return []
+
     def emit(self, key: Key, message: Message, stamp_ns: int) -> Sample:
         """Number and stamp `message` as the next sample on `key`."""
         path = key.path

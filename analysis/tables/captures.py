@@ -210,7 +210,7 @@ class Imports:
                         write(sample, log_ns)
             devices = {}
             for name, bridge in self._bridges.items():
-                counters = bridge.device_counters()  # type: ignore[attr-defined]
+                counters = bridge.device_counters()
                 devices[name] = counters
                 health = DeviceHealth(
                     device=name, port="import", stamp_ns=log_ns, sequence=1, **counters

@@ -20,7 +20,6 @@ from tramstream.cli.checks.machine import Finding, fail, from_error, ok, warning
 from tramstream.clock import VehicleClock
 from tramstream.config import Odometer, Vehicle
 from tramstream.errors import ConfigError, DeviceError, TramstreamError
-from tramstream.events.kinds import Event
 from tramstream.live import registry
 from tramstream.live.ports import size
 from tramstream.processor import Sample
@@ -198,8 +197,7 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
     if not frames:
         text = f"{port.device}: silent for {LISTEN_S:g} s"
         return warning(name, text, "check its power and cable, and what it is set to send")
-    troubles: list[Event] = getattr(bridge, "device_troubles", list)()
-    if troubles:
+    if troubles := bridge.device_troubles():
         return warning(name, f"{port.device}: {troubles[0].plain}", troubles[0].kind.cure)
     rate = "bit rate" if name == "odometer" else f"$.{name}.baud_rate"
     what = f"{received} bytes" if received else "empty frames"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,7 @@ LOST_S = 12.0
 COUNT = len(FAST) * len(SLOW)
 _FAST = np.repeat(FAST, len(SLOW))
 _SLOW = np.tile(SLOW, len(FAST))
+_FAST_STD, _SLOW_STD = np.sqrt(_FAST), np.sqrt(_SLOW)
 
 
 def _prior() -> Array:
@@ -59,6 +61,25 @@ def _prior() -> Array:
 
 
 _PRIOR = _prior()
+
+
+class Sizes(NamedTuple):
+    """Variances over the stated one: squares of mean deviations."""
+
+    fast: float
+    """Of what lasts for the correlation time,"""
+    slow: float
+    """and of what lasts for minutes."""
+
+
+def _sizes(weight: Array) -> Sizes:
+    """Give how large the errors are by the logarithms of what the hypotheses are worth."""
+    shares = np.exp(weight - weight.max())
+    shares /= shares.sum()
+    return Sizes(float(shares @ _FAST_STD) ** 2, float(shares @ _SLOW_STD) ** 2)
+
+
+_UNSEEN = _sizes(_PRIOR)
 
 
 @dataclass
@@ -76,6 +97,8 @@ class SlowFixErrorMemory:
     astray_s: float = 0.0
     """For how long none of the likely ones has foretold what was seen."""
     begun: bool = False
+    sizes: Sizes = _UNSEEN
+    """By what was seen until the last look: they are asked for several times with each fix."""
 
 
 class SlowFixError:
@@ -93,21 +116,13 @@ class SlowFixError:
 
     @property
     def slow(self) -> float:
-        """Variance of what lasts for minutes, over the stated one: square of the mean deviation."""
-        mean = float(self._weights() @ np.sqrt(_SLOW))
-        return mean * mean
+        """Variance of what lasts for minutes, over the stated one."""
+        return self.memory.sizes.slow
 
     @property
     def fast(self) -> float:
         """The same of what lasts for the correlation time."""
-        mean = float(self._weights() @ np.sqrt(_FAST))
-        return mean * mean
-
-    def _weights(self) -> Array:
-        total = self.memory.weight + _PRIOR
-        weights = np.exp(total - total.max())
-        shares: Array = weights / weights.sum()
-        return shares
+        return self.memory.sizes.fast
 
     def forget(self) -> None:
         """Begin anew with a constant that nothing is known of; weights stay."""
@@ -179,6 +194,7 @@ class SlowFixError:
         likeliest = int((memory.weight + _PRIOR).argmax())
         weight = remembered * memory.weight + np.maximum(foretold, astray)
         memory.weight[:] = weight - weight.max()
+        memory.sizes = _sizes(memory.weight + _PRIOR)
         K = np.where(fits, 1.0 / variance, 0.0)[:, None] * gain
         memory.x += K[:, None, :] * y[:, :, None]
         memory.P -= K[:, :, None] * gain[:, None, :]

@@ -310,7 +310,7 @@ class ProcessorNode(Node):
             found = [] if trouble is None else [trouble]
             processors = self.graph.readers(reader.port.key.path)
             for processor in processors:
-                found += getattr(processor, "device_troubles", list)()
+                found += processor.device_troubles()
             self.troubles += found
             trouble = found[0] if found else None
             message = DeviceHealth(
@@ -324,8 +324,7 @@ class ProcessorNode(Node):
                 silence_s=reader.silence_s,
             )
             for processor in processors:
-                counters: dict[str, Any] = getattr(processor, "device_counters", dict)()
-                for name, value in counters.items():
+                for name, value in processor.device_counters().items():
                     if name == "rejected_by_reason":
                         message.rejected_by_reason.update(value)
                     elif value is not None:
