@@ -11,16 +11,25 @@ from __future__ import annotations
 
 import os
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
 from fuzz_kinds import KINDS
 from fuzzing import Kind, run
 
+from tramstream import plugins
+
 SEED = 12
 MORE_MB = 200.0
 """No file of some kilobytes may take more."""
 STUDY_S = float(os.environ.get("TRAMSTREAM_FUZZ_S", "3600"))
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_installed_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To look for what is takes most of the time of a small file."""
+    monkeypatch.setattr(plugins, "points", cache(plugins.points))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)

@@ -6,7 +6,6 @@ import json
 import random
 import struct
 import tempfile
-from functools import cache
 from itertools import islice
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from networks import town
 from record_rides import CONFIG, batch, fix, wheels
 from record_samples import START_NS
 
-from tramstream import config_file, keys, plugins
+from tramstream import config_file, keys
 from tramstream.analysis.evaluate.source import gather
 from tramstream.analysis.report.source import collect
 from tramstream.analysis.tables import captures
@@ -46,8 +45,6 @@ from tramstream.tracks.linear_reference import references
 from tramstream.tracks.rails import Search
 from tramstream.tracks.run_graph import RunGraph
 
-plugins.points = cache(plugins.points)
-"""Nothing is installed meanwhile; looking for it takes most of the time of a small file."""
 ROOT = Path(__file__).parents[2]
 QUICK = replace(CONFIG, processors=("resampler", "distance"))
 """Everything but the filter: a step of it is compiled for long, and none of it reads files."""
