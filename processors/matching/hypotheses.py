@@ -385,13 +385,12 @@ def seed(M: Array, rails: Rails, z: Array, c: Array, run: int, s: float, prior: 
     C = h[P : P + 9].reshape((3, 3))
     C[0, 0], C[0, 1], C[1, 0], C[1, 1] = z[P_EE], z[P_EN], z[P_EN], z[P_NN]
     C[2, 2] = z[P_YAW]
-    if z[HEADED] == 0.0:  # the antenna is before or behind the vehicle, so not beside the track
-        _, _, yaw, _ = place(rails, run, s)
-        n_east, n_north, spread = -math.sin(yaw), math.cos(yaw), c[LEVER_M] ** 2
-        C[0, 0] -= spread * n_east * n_east
-        C[1, 1] -= spread * n_north * n_north
-        C[0, 1] -= spread * n_east * n_north
-        C[1, 0] = C[0, 1]
+    if z[HEADED] == 0.0:  # the antenna is on a circle about the vehicle: put it along the track
+        yaw, half = place(rails, run, s)[2], 0.5 * c[LEVER_M] ** 2
+        e, n = math.cos(yaw), math.sin(yaw)
+        if C[0, 0] * n * n - 2.0 * C[0, 1] * e * n + C[1, 1] * e * e > half:  # the circle is in C
+            C[0, 0], C[1, 1] = C[0, 0] + half * (e * e - n * n), C[1, 1] - half * (e * e - n * n)
+            C[0, 1] = C[1, 0] = C[0, 1] + 2.0 * half * e * n
     C *= DOUBT
     cost, _ = on_rails(h, rails, z, c, 1.0)
     kinds = 2.0 if z[HEADED] != 0.0 else 1.0

@@ -242,6 +242,27 @@ def test_without_a_heading_both_parallel_tracks_are_said() -> None:
     assert (said.probability[begun:] > SURE).all()
 
 
+@pytest.mark.parametrize("counted", [True, False], ids=("lever counted", "antenna's own place"))
+@pytest.mark.parametrize("std_m", [0.02, 0.5, 1.5, 4.0])
+def test_antenna_far_from_the_vehicle_is_no_obstacle_before_the_heading_is_known(
+    std_m: float, counted: bool
+) -> None:
+    """A filter without a heading says where the vehicle is by half its lever arm's square more."""
+    case, lever_m = networks.double(), 3.0
+    drive = driven(case.lines["right"], steady(100.0, 5.0), Noise(std_m=0.01))
+    matcher = Matcher(case.network, SETTINGS, lever_m=lever_m)
+    frame = MapFrame(case.network, FILTER_LEVEL)
+    variance = std_m**2 + (0.5 * lever_m**2 if counted else 0.0)
+    for estimate in drive.altered(0, 100, mode=HEADING_UNKNOWN).estimates[:100]:
+        given = replace(estimate, values=estimate.values.copy())
+        given.covariance[:2, :2] = np.eye(2) * variance
+        match = matcher.step(given, frame)
+        assert match is not None
+        assert_sane(match, matcher, None)
+    assert match.run >> 1 == case.run("right") >> 1
+    assert match.off_probability < 0.1
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_two_hypotheses_on_a_passing_loop_join_again(seed: int) -> None:
     """Fixes of 3 m do not tell tracks 3.3 m apart; behind the loop there is one track again.
