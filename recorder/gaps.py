@@ -98,6 +98,7 @@ class GapBook(LossCounter):
         self._heard = 0
         self._begun_ns = since_ns
         self._refilled: dict[str, dict[int, int]] = {}
+        self._told: dict[str, list[tuple[int, int]]] = {}  # remembered gaps that are named lost
         self._orphans: set[str] = set()  # topics whose remembered gaps nobody has accounted for
 
     def remember(self, previous: Previous) -> None:
@@ -140,6 +141,8 @@ class GapBook(LossCounter):
             remembered = self._previous.topics[envelope.topic]
             stream.log_ns = max(stream.log_ns, remembered.log_before(publish_ns + 1))
             return None
+        if self._previous.is_within(envelope.topic, publish_ns):
+            self._refilled.setdefault(envelope.topic, {})[publish_ns] = envelope.sequence
         stream.log_ns = log_ns
         return log_ns
 
@@ -330,21 +333,15 @@ class GapBook(LossCounter):
         self._orphans.discard(topic)
         remembered = self._previous.topics[topic]
         here = {**remembered.known, **self._refilled.get(topic, {})}
+        told = self._told.get(topic, [])
         losses: list[Loss] = []
         left_ns, left = remembered.after_ns, remembered.after_sequence
         for publish_ns, sequence in sorted(here.items()):
-            if left is not None and sequence > left + 1:
-                self.lost[topic] += sequence - left - 1
-                losses.append(
-                    Loss(
-                        consumer=self.consumer,
-                        key=topic,
-                        count=sequence - left - 1,
-                        after_publish_ns=left_ns,
-                        before_publish_ns=publish_ns,
-                        cause=Loss.Cause.ABSENT,
-                    )
-                )
+            named = any(after <= left_ns and publish_ns <= before for after, before in told)
+            if left is not None and sequence > left + 1 and not named:
+                count = sequence - left - 1
+                self.lost[topic] += count
+                losses.append(self._loss(topic, count, left_ns, publish_ns, Loss.Cause.ABSENT))
             left_ns, left = publish_ns, sequence
         return losses
 
@@ -358,21 +355,28 @@ class GapBook(LossCounter):
         losses = []
         for after_ns, before_ns, count in _missing(hole, remembered):
             self.lost[stream.topic] += count
+            if remembered:
+                self._told.setdefault(stream.topic, []).append((after_ns, before_ns))
             parts = ((min(queued, count), Loss.Cause.QUEUE), (max(count - queued, 0), cause))
             queued -= min(queued, count)
             losses += [
-                Loss(
-                    consumer=self.consumer,
-                    key=stream.topic,
-                    count=part,
-                    after_publish_ns=after_ns,
-                    before_publish_ns=before_ns,
-                    cause=why,
-                )
+                self._loss(stream.topic, part, after_ns, before_ns, why)
                 for part, why in parts
                 if part
             ]
         return losses
+
+    def _loss(
+        self, topic: str, count: int, after_ns: int, before_ns: int, cause: Loss.Cause.ValueType
+    ) -> Loss:
+        return Loss(
+            consumer=self.consumer,
+            key=topic,
+            count=count,
+            after_publish_ns=after_ns,
+            before_publish_ns=before_ns,
+            cause=cause,
+        )
 
 
 def _missing(hole: Hole, remembered: Remembered | None) -> Iterator[tuple[int, int, int]]:

@@ -57,6 +57,11 @@ class Previous:
         remembered = self.topics.get(topic)
         return remembered is not None and publish_ns in remembered.known
 
+    def is_within(self, topic: str, publish_ns: int) -> bool:
+        """Whether a message was published between those that the record holds."""
+        remembered = self.topics.get(topic)
+        return remembered is not None and publish_ns < remembered.times[-1][0]
+
 
 NOTHING = Previous()
 

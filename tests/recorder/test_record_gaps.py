@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tramstream import keys
@@ -168,6 +168,16 @@ STEPS = ("publish 0", "publish 1", "deliver", "lose", "ask", "ask in vain", "swe
 
 
 @settings(deadline=None, max_examples=400)
+@example(
+    # The answer to the sweep fills the gap in the record before.
+    ["publish 0"] * 3 + ["deliver", "lose", "deliver", "restart", "sweep"],
+    700,
+)
+@example(
+    # Its publisher has forgotten part of that gap, and the rest is told once.
+    ["publish 0"] * 8 + ["deliver", "lose", "deliver", "restart", "sweep"],
+    1500,
+)
 @given(st.lists(st.sampled_from(STEPS), max_size=70), st.sampled_from([700, 1500, 100_000]))
 def test_every_message_is_recorded_once_or_named_lost(steps: list[str], limit_bytes: int) -> None:
     world = World(limit_bytes)
