@@ -20,6 +20,7 @@ from tramstream.clock import S
 from tramstream.estimation.fixes import antenna_l, unusable, velocity_l
 from tramstream.estimation.kalman import Array
 from tramstream.estimation.localiser import Verdict
+from tramstream.events.kinds import Event
 from tramstream.memory.stage import assign, copied
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram.navigation_memory import NavigationMemory
@@ -264,6 +265,8 @@ class Search:
         counted = navigation.wheels.counted(memory.kept)
         direction = navigation.wheels.direction(counted)
         verdicts: dict[float, list[Verdict]] = {}
+        said: dict[float, list[Event]] = {}
+        told = len(navigation.complaints)
         if direction == 0.0 and navigation.alone:
             direction = 1.0  # nothing will ever tell
         for sign in (1.0, -1.0) if direction == 0.0 else (direction,):
@@ -278,30 +281,45 @@ class Search:
                 inertial = navigation.read(frame)
                 verdicts[sign] = navigation.run(frame, False, noise if inertial else None)
             memory.tried.append(Tried.of(sign, navigation))
+            said[sign] = _taken(navigation.complaints, told)
         memory.kept = []
-        return verdicts[self._decide(navigation)]
+        return verdicts[self._decide(navigation, said)]
 
     def _continue_directions(
         self, navigation: Navigation, frame: SyncFrame, standing: bool, noise: Array | None
     ) -> list[Verdict]:
         verdicts: dict[float, list[Verdict]] = {}
+        said: dict[float, list[Event]] = {}
+        told = len(navigation.complaints)
         for number, tried in enumerate(self.memory.tried):
             tried.go_on(navigation)
             inertial = navigation.read(frame)
             verdicts[tried.sign] = navigation.run(frame, standing, noise if inertial else None)
             self.memory.tried[number] = Tried.of(tried.sign, navigation)
-        return verdicts[self._decide(navigation)]
+            said[tried.sign] = _taken(navigation.complaints, told)
+        return verdicts[self._decide(navigation, said)]
 
-    def _decide(self, navigation: Navigation) -> float:
-        """Leave `navigation` with the likelier direction, which it returns."""
+    def _decide(self, navigation: Navigation, said: dict[float, list[Event]]) -> float:
+        """Leave `navigation` with the likelier direction, which it returns.
+
+        What the other one had to say of the sensors, `said`, is its own error. Refusals are of
+        both: the fixes told the heading, and the gates are not for them.
+        """
         memory = self.memory
         memory.tried.sort(key=lambda each: -each.likelihood)
         first, last = memory.tried[0], memory.tried[-1]
         first.go_on(navigation)
-        told = [each for each in navigation.complaints if each.kind not in REFUSALS]
-        navigation.complaints[:] = told
+        told = [*navigation.complaints, *said[first.sign]]
+        navigation.complaints[:] = [each for each in told if each.kind not in REFUSALS]
         sure = len(memory.tried) == 1 or not first.likelihood - last.likelihood < SURE
         memory.found = sure or self._alignment.way_m > UNSURE_WAY_M
         if memory.found:
             navigation.ekf.log_likelihood_sum = None
         return first.sign
+
+
+def _taken(complaints: list[Event], begin: int) -> list[Event]:
+    """Take the complaints from number `begin` on away."""
+    taken = complaints[begin:]
+    del complaints[begin:]
+    return taken

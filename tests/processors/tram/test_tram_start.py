@@ -18,11 +18,14 @@ from rides import LEVEL, Errors, Ride, altered, judged, laid, localised, ridden,
 from test_tram_faults import PLAN, city
 
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate
+from tramstream.events.kinds import Event
 from tramstream.lines.line import Line, parse_plan
 from tramstream.live import snapshots
 from tramstream.processors.tram.localiser import BLIND_S, TramLocaliser
-from tramstream.processors.tram_filter.events import FIRST_FIXES_WRONG
+from tramstream.processors.tram_filter.events import FIRST_FIXES_WRONG, RECEIVER_BOASTS
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.states import Ix
+from tramstream.processors.tram_sources.fix_noise import FixNoise
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 
@@ -324,6 +327,31 @@ def test_restart_from_memory_is_bit_identical_while_parked() -> None:
             del frame.odometry[:]
             del frame.gnss[:]
     restarts(ride, frames, ["parked", "running"])
+
+
+def test_what_the_opposite_direction_says_of_the_sensors_is_not_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A filter that goes the wrong way sees fixes drift: that tells of itself alone."""
+    ride, learn, marks = plain(1), FixNoise.learn, {True: 0, False: 0}
+
+    def marked(self: FixNoise, stamp_ns: int, ekf: TramFilter, *rest: Any) -> list[Event]:
+        true_yaw = float(ride.simulation.truth([stamp_ns]).motion.yaw_rad[0])
+        opposite = abs(math.remainder(ekf.state[Ix.YAW] - true_yaw, math.tau)) > 0.5 * math.pi
+        marks[opposite] += 1
+        mark = RECEIVER_BOASTS(key=str(opposite), times=9.0, stated_m=0.5)
+        return [*learn(self, stamp_ns, ekf, *rest), mark]
+
+    monkeypatch.setattr(FixNoise, "learn", marked)
+    localiser = TramLocaliser(ride.simulation.vehicle)
+    said = set()
+    frames = upwards(ride.between(-1.0, 40.0))
+    for frame in frames:
+        localiser.take(frame)
+        said |= {each.facts["key"] for each in localiser.complaints()}
+    assert marks[True] > 0, "no other direction was tried"
+    assert marks[False] > 0
+    assert said == {"False"}
 
 
 # A long silence -----------------------------------------------------------------------------------
