@@ -20,8 +20,8 @@ from tramstream.live import registry
 from tramstream.recorder.reader import open_record
 
 PUSH = "est/comfort/push"
-LINES = 27
-"""Of its code, blank ones not counted."""
+LINES = 25
+"""Of its code; blank ones are not counted, nor the sentence that explains its setting."""
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def with_section(folder: Path, section: str, *more: str) -> bytes:
 
 
 def test_it_is_short() -> None:
-    lines = (COMFORT / "comfort.py").read_text().splitlines()
-    assert sum(bool(line.strip()) for line in lines) <= LINES
+    lines = [line.strip() for line in (COMFORT / "comfort.py").read_text().splitlines()]
+    assert sum(bool(line) and not line.startswith('"""') for line in lines) <= LINES
 
 
 def test_what_is_installed_runs_only_where_the_configuration_names_it(

@@ -11,20 +11,17 @@ PUSH = keys.define("est/comfort/push", Push, 2, "interval's end", "How hard pass
 HARD = events.define("comfort.hard", "a push of {push_mps2}", cure="brake softer", push_mps2=float)
 
 
-class Settings(Struct, frozen=True):
-    limit_mps2: float = 1.2
-    """Horizontal specific force above which who stands needs a hand, m/s²."""
-
-
-@dataclass
-class Memory:
-    push_mps2: float = 0.0
-    until_ns: int = 0
-
-
 class Comfort(Processor):
     name, inputs, outputs, events = "comfort", (keys.SYNC_IMU,), (PUSH,), (HARD,)
-    Settings, Memory = Settings, Memory
+
+    class Settings(Struct, frozen=True):
+        limit_mps2: float = 1.2
+        """Horizontal specific force above which who stands needs a hand, m/s²."""
+
+    @dataclass
+    class Memory:
+        push_mps2: float = 0.0
+        until_ns: int = 0
 
     def step(self, sample):
         mean, kept = sample.message, self.memory
