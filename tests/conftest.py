@@ -93,6 +93,15 @@ def no_process_is_left_behind() -> Iterator[None]:
     until(lambda: not _left(), "the end of what tests have begun", _left)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def what_a_module_has_cached_ends_with_it(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Forget rides that only the module's own tests need: those of all modules are gigabytes."""
+    yield
+    for each in vars(request.module).values():
+        if hasattr(each, "cache_clear") and each.__module__ == request.module.__name__:
+            each.cache_clear()
+
+
 NO_DATA = "no recordings at"
 
 
