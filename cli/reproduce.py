@@ -35,8 +35,8 @@ def reproduce(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
             "default). chladek2023: FILE.geojson with lines 7 and 20; default "
             "../shared/data/maps/prague/lines_7_20.geojson. matching: LINE/DIRECTION or LINE; "
-            "default all of the network. worlds: as matching with --net (default 7/0), else as kaspar2023. day: default 7/0 and 7/1. May "
-            "be given several times.",
+            "default all of the network. worlds: as matching with --net (default 7/0), else as "
+            "kaspar2023. day: default 7/0 and 7/1. May be given several times.",
             metavar="LINE",
         ),
     ] = None,
