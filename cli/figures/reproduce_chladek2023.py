@@ -31,6 +31,8 @@ def reproduce(options: Options) -> None:
     source = options.lines[0] if options.lines else str(FILE)
     if "#" in source:
         raise ConfigError(f"--line {source}: give the file alone; {NAME} takes lines 7/0 and 20/0")
+    if options.seeds is not None and options.seeds < study.TELLING_RIDES:
+        raise ConfigError(f"--seeds {options.seeds}: {NAME} needs {study.TELLING_RIDES} at least")
     for which in range(len(study.LINES)):
         study.profile_for(source, which)  # a line that is not there is told before the work begins
     seed = SEED if options.seed is None else options.seed
@@ -38,7 +40,11 @@ def reproduce(options: Options) -> None:
     figures = []
     for which, (line, _, _) in enumerate(study.LINES):
         say(f"{which + 1}/{len(study.LINES)}: line {line}")
-        figures.append(study.study(source, which, seed, options.seeds))
+        try:
+            figures.append(study.study(source, which, seed, options.seeds))
+        except KeyboardInterrupt:
+            say(f"stopped; line {line} and what follows is missing")
+            break
     elapsed_s = time.monotonic() - began_s
     if options.json:
         print(json.dumps(_plain(figures, seed, elapsed_s)))

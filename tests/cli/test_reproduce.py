@@ -61,6 +61,12 @@ def test_chladek2023_says_which_file_of_lines_it_wants(line: str) -> None:
     assert result.stdout == ""
 
 
+def test_chladek2023_wants_as_many_rides_as_it_is_judged_by() -> None:
+    result = run("chladek2023", "--line", "a.geojson", "--seeds", "3")
+    assert isinstance(result.exception, ConfigError)
+    assert "needs 10 at least" in str(result.exception)
+
+
 def test_chladek2023_takes_one_file() -> None:
     result = run("chladek2023", "--line", "a.geojson", "--line", "b.geojson")
     assert isinstance(result.exception, ConfigError)
