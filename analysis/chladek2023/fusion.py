@@ -25,6 +25,7 @@ from operator import add
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
@@ -180,7 +181,7 @@ def _knots(edges: int) -> int:
     return -(-(edges - 1) // KNOT_CELLS) + 1
 
 
-def _summed(at: Array, values: Array, count: int) -> Array:
+def _summed(at: NDArray[np.int64], values: Array, count: int) -> Array:
     total: Array = np.bincount(at, values, count)
     return total[:count]
 

@@ -262,7 +262,7 @@ def _add_grade(page: Page, judged: Judged) -> None:
     if judged.grade is None:
         return
     page.heading("Grade of the track")
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for name, each in judged.grade.summary.items():
         found = judged.grade.nees.get(name.rsplit("_", 1)[0])
         if each is not None:

@@ -33,6 +33,7 @@ from tramstream.estimation.series import (
     Instants,
     Slot,
     StateSeries,
+    TruthSeries,
     wrapped_rad,
 )
 
@@ -183,10 +184,11 @@ def _turns(material: Material, slot: Slot) -> list[Trace]:
     """Roll or pitch."""
     column = slot - Slot.ROLL
     traces = []
-    for name, series, colour, width in (
+    known: list[tuple[str, TruthSeries | StateSeries | None, str, float]] = [
         ("truth", material.ride.truth, TRUTH, 3.5),
         ("smoothed", material.smoothed, SMOOTHED, 1.5),
-    ):
+    ]
+    for name, series, colour, width in known:
         if series is not None:
             angle = np.degrees(series.attitude_rad[:, column])
             traces.append(Trace(name, series.stamp_ns, angle, colour, width=width))

@@ -202,8 +202,9 @@ def linear(grid_ns: Instants, values: Array, stamp_ns: Instants) -> Array:
     """Bring one column to `stamp_ns` along straight lines; NaN as in `interpolate_truth`."""
     at = _between(grid_ns, stamp_ns)
     between = values[at.left] + at.u * (values[at.right] - values[at.left])
-    found: Array = np.where(at.exact, values[at.left], between)
-    return np.where(at.known, found, np.nan)
+    here = np.where(at.exact, values[at.left], between)
+    found: Array = np.where(at.known, here, np.nan)
+    return found
 
 
 def is_dense(truth: TruthSeries) -> bool:
