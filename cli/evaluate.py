@@ -31,7 +31,8 @@ def evaluate(
 ) -> None:
     """Judge an estimate by the truth: errors, NEES, NIS, protection levels, GNSS outages.
 
-    Raw GNSS of the same ride, and est/ekf/smoothed where it is there, stand beside. Ends with
+    Raw GNSS of the same ride, and est/ekf/smoothed where it is there, stand beside; the track's
+    slope in % where est/grade/state is there (roll and pitch are the body's). Ends with
     status 1 where the ride contradicts what the estimate claims of its own errors: a filter that is
     right ends so in less than 3 % of rides.
     """
@@ -55,7 +56,7 @@ def evaluate(
         from tramstream.cli.figures.evaluate_tables import print_judgements
 
         title = f"{file}: {judged.key} against {judged.truth}"
-        print_judgements(judged.of, judged.gnss, judged.terms, title)
+        print_judgements(judged, title)
     against = judged.main.contradictions
     for each in against[1:] if not (found.damaged or found.left_out) else against:
         say(f"{file}: {each}; {each.cure}")

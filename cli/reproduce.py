@@ -10,7 +10,10 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds", "day")
+WORKS = (
+    *("konecny2004", "kaspar2023", "chladek2023"),
+    *("drives", "matching", "receivers", "worlds", "day"),
+)
 
 
 def reproduce(
@@ -21,8 +24,8 @@ def reproduce(
     seeds: Annotated[
         int | None,
         typer.Option(
-            help="Rides of each kind (kaspar2023, default 5), line (matching, default 10) or world "
-            "(worlds, default 1).",
+            help="Rides of each kind (kaspar2023, default 5), line (matching, default 10), world "
+            "(worlds, default 1) or profile's average (chladek2023, default 300 and 60).",
             min=1,
         ),
     ] = None,
@@ -30,9 +33,10 @@ def reproduce(
         list[str] | None,
         typer.Option(
             help="kaspar2023: FILE.geojson, FILE.geojson#LINE/DIRECTION, or built-in (the "
-            "default). matching: LINE/DIRECTION or LINE; default all of the network. worlds: as "
-            "matching with --net (default 7/0), else as kaspar2023. day: default 7/0 and 7/1. May "
-            "be given several times.",
+            "default). chladek2023: FILE.geojson with lines 7 and 20; default "
+            "../shared/data/maps/prague/lines_7_20.geojson. matching: LINE/DIRECTION or LINE; "
+            "default all of the network. worlds: as matching with --net (default 7/0), else as "
+            "kaspar2023. day: default 7/0 and 7/1. May be given several times.",
             metavar="LINE",
         ),
     ] = None,

@@ -17,6 +17,7 @@ from tramstream import keys
 from tramstream.estimation.series import (
     Array,
     FixSeries,
+    GradeSeries,
     Innovations,
     Instants,
     Slot,
@@ -25,7 +26,7 @@ from tramstream.estimation.series import (
     wrapped_rad,
 )
 from tramstream.geodesy import LocalLevel
-from tramstream.proto.estimate_pb2 import MotionState
+from tramstream.proto.estimate_pb2 import GradeState, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
 from tramstream.recorder.message_columns import Columns, read_columns
@@ -42,6 +43,7 @@ class RideSeries(NamedTuple):
     states: dict[str, StateSeries]
     truth: TruthSeries | None
     fixes: FixSeries | None
+    grade: GradeSeries | None = None
 
 
 def read_ride(
@@ -50,6 +52,7 @@ def read_ride(
     truth: str = "",
     fixes: bool = False,
     level: LocalLevel | None = None,
+    grade: str = "",
 ) -> RideSeries:
     """Read the keys asked for.
 
@@ -64,10 +67,14 @@ def read_ride(
         Read `raw/gnss/fix` too.
     level : LocalLevel, optional
         Of the positions; without one it lies at the first truth, else state, else fix.
+    grade : str
+        Key path of GradeState messages; empty for none.
     """
     types: dict[str, type[Message]] = dict.fromkeys(states, MotionState)
     if truth:
         types[truth] = TruthState
+    if grade:
+        types[grade] = GradeState
     if fixes:
         types[keys.GNSS_FIX.path] = GnssFix
     by_path: dict[str, list[str]] = {}
@@ -82,26 +89,30 @@ def read_ride(
     for path in (truth, *states, keys.GNSS_FIX.path):
         if level is None and path in of:
             level = of[path].level()
+    slopes = _grades(of[grade]) if grade in of else None
     if level is None:
-        return RideSeries(None, {}, None, None)
+        return RideSeries(None, {}, None, None, slopes)
     return RideSeries(
         level,
         {path: _states(of[path], level) for path in states if path in of},
         _truth(of[truth], level) if truth in of else None,
         _fixes(of[keys.GNSS_FIX.path], level) if keys.GNSS_FIX.path in of else None,
+        slopes,
     )
 
 
 _PLACE = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
 _PROTECTION = ("protection_along_m", "protection_across_m")
+_GRADE = ("grade_rad", "grade_std_rad", "body_pitch_rad", "body_pitch_std_rad")
 _SPEEDS = ("speed_mps", "acceleration_mps2", "yaw_rate_radps")
 _NAMES: dict[type[Message], tuple[str, ...]] = {
     MotionState: (
         *(*_PLACE, *_ATTITUDE, *_PROTECTION, *_SPEEDS),
         *("mode", "standing", "covariance", "innovations"),
     ),
-    TruthState: (*_PLACE, *_ATTITUDE, "speed_mps", "position_std_m"),
+    TruthState: (*_PLACE, *_ATTITUDE, "speed_mps", "position_std_m", "grade_rad"),
+    GradeState: _GRADE,
     GnssFix: (*_PLACE, "speed_mps", "course_deg", "vel_n_mps", "valid", "invalid_llh"),
 }
 """The columns that make a series."""
@@ -204,7 +215,12 @@ def _truth(messages: _Messages, level: LocalLevel) -> TruthSeries:
         speed_mps=messages["speed_mps"],
         attitude_rad=wrapped_rad(messages.rows(_ATTITUDE)),
         position_std_m=messages["position_std_m"],
+        grade_rad=messages["grade_rad"],
     )
+
+
+def _grades(messages: _Messages) -> GradeSeries:
+    return GradeSeries(messages.stamp_ns, *(messages[name] for name in _GRADE))
 
 
 def _fixes(messages: _Messages, level: LocalLevel) -> FixSeries:

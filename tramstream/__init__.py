@@ -18,9 +18,9 @@ Frames
     origin of `v` to the antenna, resolved in `v`.
 Signs
     Yaw counts counter-clockwise from east, and a left turn has a positive rate. Roll is positive
-    with the right side down, pitch with the nose down: grade is -pitch. Speed is along x of the
-    vehicle, negative when it runs backwards. An error is estimate minus truth, an innovation
-    z - h(x).
+    with the right side down, pitch with the nose down; both are the body's, which nods on its
+    springs. The track's slope is `grade_rad`, positive uphill. Speed is along x of the vehicle,
+    negative when it runs backwards. An error is estimate minus truth, an innovation z - h(x).
 Clocks
     Stamps are on the vehicle clock: nanoseconds that look like Unix time, monotonic, never stepped.
     `stamp_ns` says when a quantity was true, `publish_ns` when it was sent, `log_ns` when it

@@ -209,6 +209,22 @@ EST_SMOOTHED = define(
 EST_LATE = define(
     "est/ekf/late", sync_pb2.LateSample, 0, "late sample", "Track geometry that came too late"
 )
+EST_GRADE = define(
+    "est/grade/state",
+    estimate_pb2.GradeState,
+    100,
+    "horizon",
+    "Slope of the track, apart from the body",
+)
+EST_STOPPING = define(
+    "est/grade/stopping", estimate_pb2.GradeStopping, 5, "horizon", "Distances to stop, slope ahead"
+)
+EST_GRADE_PARAMETERS = define(
+    "est/grade/parameters", estimate_pb2.FilterParameters, 1, "horizon", "Suspension, offset, mass"
+)
+EST_GRADE_LATE = define(
+    "est/grade/late", sync_pb2.LateSample, 0, "late sample", "State or match that came too late"
+)
 
 # map: where on the network ------------------------------------------------------------------------
 MAP_MATCH = define(

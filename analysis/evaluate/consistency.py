@@ -65,6 +65,8 @@ TINY_M = 1e-9
 NEES_SLOTS: dict[str, tuple[Slot, ...]] = {
     "position": (Slot.EAST, Slot.NORTH),
     "speed": (Slot.SPEED,),
+    "roll": (Slot.ROLL,),
+    "pitch": (Slot.PITCH,),
     "yaw": (Slot.YAW,),
     "joint": (Slot.EAST, Slot.NORTH, Slot.SPEED, Slot.YAW),
 }
@@ -249,19 +251,23 @@ def nees_series(errors: Errors, slots: Sequence[Slot]) -> Array:
 
 def nees(errors: Errors, slots: Sequence[Slot]) -> Nees | None:
     """Judge the quantities in `slots` together; None where that is never possible."""
-    series = nees_series(errors, slots)
+    return nees_of(nees_series(errors, slots), len(slots))
+
+
+def nees_of(series: Array, dimensions: int) -> Nees | None:
+    """Judge a series of NEES, NaN where it is not known; None where that is everywhere."""
     known = series[np.isfinite(series)]
     if not len(known):
         return None
-    effective = effective_samples(known, len(slots))
-    single = chi_square_interval(len(slots))
+    effective = effective_samples(known, dimensions)
+    single = chi_square_interval(dimensions)
     inside = (known >= single.low) & (known <= single.high)
     return Nees(
-        dimensions=len(slots),
+        dimensions=dimensions,
         count=len(known),
         undefined=len(series) - len(known),
         mean=float(known.mean()),
-        bounds=mean_bounds(len(slots), effective),
+        bounds=mean_bounds(dimensions, effective),
         effective=effective,
         inside_share=float(inside.mean()),
     )

@@ -243,13 +243,16 @@ def statistics(error: Array, stamp_ns: Instants, origin_ns: int) -> Statistics |
 
 
 def summary(errors: MotionErrors, origin_ns: int) -> dict[str, Statistics | None]:
-    """Statistics by quantity: along_m, across_m, horizontal_m, up_m, speed_mps, yaw_deg."""
+    """Statistics by quantity: along_m, across_m, horizontal_m, up_m, speed_mps, and roll_deg,
+    pitch_deg, yaw_deg of the body."""
     columns = {
         "along_m": errors.along_m,
         "across_m": errors.across_m,
         "horizontal_m": errors.horizontal_m,
         "up_m": errors.up_m,
         "speed_mps": errors.speed_mps,
+        "roll_deg": np.degrees(errors.attitude_rad[:, 0]),
+        "pitch_deg": np.degrees(errors.attitude_rad[:, 1]),
         "yaw_deg": np.degrees(errors.yaw_rad),
     }
     return {

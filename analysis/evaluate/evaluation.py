@@ -8,6 +8,13 @@ from typing import Any
 
 from tramstream.analysis.evaluate import errors as evaluation
 from tramstream.analysis.evaluate.errors import Errors
+from tramstream.analysis.evaluate.grade import (
+    GradeErrors,
+    GradeJudgement,
+    flat_grade,
+    judge_grade,
+    lacking,
+)
 from tramstream.analysis.evaluate.judgement import (
     Judgement,
     Summary,
@@ -29,12 +36,18 @@ _SHOWN = ("judged", "horizontal_rms_m", "speed_rms_mps", "yaw_rms_deg", "nees_jo
 class Evaluation(Mapping[str, Any]):
     """Figures of an estimate by name, with units, as `tramstream evaluate --json` prints them.
 
-    Raw GNSS of the same ride stands beside as `gnss_…`, the smoother's as `smoothed_…`; None is
-    what is not known.
+    Raw GNSS of the same ride stands beside as `gnss_…`, the smoother's as `smoothed_…`, the track's
+    slope as `grade_…`; None is what is not known.
     """
 
     def __init__(
-        self, key: str, truth: str, of: dict[str, Judgement], gnss: Summary | None, terms: Terms
+        self,
+        key: str,
+        truth: str,
+        of: dict[str, Judgement],
+        gnss: Summary | None,
+        terms: Terms,
+        grade: GradeJudgement | str = "",
     ) -> None:
         self.key = key
         """Of the estimate."""
@@ -44,6 +57,8 @@ class Evaluation(Mapping[str, Any]):
         """Judgements by the estimate's quantity (`state`, `smoothed`), the wanted one first."""
         self.gnss = gnss
         self.terms = terms
+        self.grade = grade
+        """Of `est/grade/state`; or why there is none."""
 
     @property
     def main(self) -> Judgement:
@@ -53,6 +68,11 @@ class Evaluation(Mapping[str, Any]):
     def errors(self) -> Errors:
         """Estimate minus truth at each judged instant: `along_m`, `across_m`, `yaw_rad` …"""
         return self.main.errors
+
+    @property
+    def grade_errors(self) -> GradeErrors | None:
+        """The same of the track's slope: `grade_pct`, `body_pitch_rad` …; None without one."""
+        return None if isinstance(self.grade, str) else self.grade.errors
 
     @property
     def time_s(self) -> Array:
@@ -70,7 +90,7 @@ class Evaluation(Mapping[str, Any]):
             figures |= {prefix + k: value for k, value in flat(judgement, self.terms).items()}
         if self.gnss is not None:
             figures |= {f"gnss_{k}": value for k, value in flat_summary(self.gnss).items()}
-        return figures
+        return figures | flat_grade(None if isinstance(self.grade, str) else self.grade)
 
     def __getitem__(self, name: str) -> Any:
         return self.figures[name]
@@ -118,7 +138,9 @@ def evaluated(found: Gathered, skip_s: float, outage_s: float, name: str) -> Eva
     if found.fixes is not None:
         errors = evaluation.fix_errors(found.fixes, found.truth, terms.lever_arm_m)
         gnss = evaluation.summary(errors, found.origin_ns)
-    return Evaluation(key, found.truth_name, of, gnss, terms)
+    slope = judge_grade(found.grade, found.truth, terms) if found.grade is not None else None
+    why = lacking(found.grade, slope)
+    return Evaluation(key, found.truth_name, of, gnss, terms, slope or why)
 
 
 def _reasons(left_out: dict[str, int], skipped: int) -> str:

@@ -125,12 +125,12 @@ def flat(judgement: Judgement, terms: Terms) -> dict[str, Any]:
         "contradiction": str(judgement.contradictions[0]) if judgement.contradictions else None,
     }
     for name in NEES_SLOTS:
-        figures |= _flat_nees(f"nees_{name}", judgement.nees.get(name))
+        figures |= flat_nees(f"nees_{name}", judgement.nees.get(name))
     for measurement, each in judgement.nis.items():
         figures |= _flat_nis(f"nis_{_key(measurement)}", each)
     figures |= _flat_protection(judgement.protection, terms)
     figures |= _flat_outages(judgement)
-    return {name: _plain(value) for name, value in figures.items()}
+    return {name: plain(value) for name, value in figures.items()}
 
 
 def flat_summary(summary: Summary) -> dict[str, Any]:
@@ -150,7 +150,8 @@ def group_name(to_s: float) -> str:
     return f"to_{to_s:g}_s" if math.isfinite(to_s) else f"beyond_{outages.EDGES_S[-1]:g}_s"
 
 
-def _flat_nees(name: str, each: Nees | None) -> dict[str, Any]:
+def flat_nees(name: str, each: Nees | None) -> dict[str, Any]:
+    """`nees_speed_mean` and so on."""
     return {
         f"{name}_count": each.count if each else 0,
         f"{name}_undefined": each.undefined if each else None,
@@ -212,6 +213,6 @@ def _key(measurement: str) -> str:
     return re.sub(r"\W+", "_", measurement).strip("_")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON has no NaN."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

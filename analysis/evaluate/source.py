@@ -11,7 +11,7 @@ from tramstream import keys
 from tramstream.config import Vehicle
 from tramstream.config_file import RECORD_ENTRY
 from tramstream.errors import ConfigError, RecordError
-from tramstream.estimation.series import FixSeries, StateSeries, TruthSeries
+from tramstream.estimation.series import FixSeries, GradeSeries, StateSeries, TruthSeries
 from tramstream.keys import Key
 from tramstream.recorder.columns import read_ride
 from tramstream.recorder.reader import Record, open_record
@@ -37,6 +37,8 @@ class Gathered:
     damaged: str
     left_out: str
     """One sentence about messages that could not be decoded, empty without any."""
+    grade: GradeSeries | None = None
+    """What `est/grade/state` says; None where it is not there."""
 
 
 def gather(file: Path, truth: str, estimate: str, say: Callable[[str], None]) -> Gathered:
@@ -87,11 +89,14 @@ def gathered(
         If nothing of an estimate or of the truth can be read; see `demand`.
     """
     same = source is record
-    of_truth = read_ride(source, wanted if same else (), truth_key, fixes=True)
+    slope = keys.EST_GRADE.path
+    of_truth = read_ride(
+        source, wanted if same else (), truth_key, fixes=True, grade=slope if same else ""
+    )
     ride = of_truth
     if not same:
         need_fixes = of_truth.fixes is None
-        ride = read_ride(record, wanted, fixes=need_fixes, level=of_truth.level)
+        ride = read_ride(record, wanted, fixes=need_fixes, level=of_truth.level, grade=slope)
     if of_truth.truth is None or wanted[0] not in ride.states:
         raise RecordError(f"{record.paths[0]}: nothing of its estimate or truth can be read")
     return Gathered(
@@ -103,6 +108,7 @@ def gathered(
         origin_ns=record.start_ns,
         damaged=record.damaged or source.damaged,
         left_out=record.left_out or source.left_out,
+        grade=ride.grade,
     )
 
 

@@ -6,12 +6,14 @@ The figures are those of `tramstream evaluate`, by the same functions.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tramstream import keys
 from tramstream.analysis.evaluate import errors as evaluation
 from tramstream.analysis.evaluate.errors import Errors, MotionErrors
+from tramstream.analysis.evaluate.grade import GradeJudgement, judge_grade
 from tramstream.analysis.evaluate.judgement import MAIN, Judgement, Summary, judge
 from tramstream.analysis.report.charts import BAD, FILTER, GNSS, SMOOTHED, TRUTH, Timeline, Trace
 from tramstream.analysis.report.material import Material, Runs, std_of
@@ -25,8 +27,14 @@ QUANTITIES = {
     "across_m": "across, m",
     "up_m": "up, m",
     "speed_mps": "speed, m/s",
+    "roll_deg": "roll, °",
+    "pitch_deg": "pitch of the body, °",
     "yaw_deg": "heading, °",
+    "grade_pct": "grade of the track, %",
+    "body_pitch_deg": "pitch of the body against the track, °",
 }
+ANGLES = {"roll_deg": Slot.ROLL, "pitch_deg": Slot.PITCH, "yaw_deg": Slot.YAW}
+GRADE = "grade"
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,7 @@ class Judged:
     gnss: MotionErrors | None
     summaries: dict[str, Summary]
     """Of the same and of `GNSS`."""
+    grade: GradeJudgement | None = None
 
     def __bool__(self) -> bool:
         return bool(self.summaries)
@@ -60,7 +69,8 @@ def judge_ride(material: Material) -> Judged:
         gnss = evaluation.fix_errors(fixes, truth, terms.lever_arm_m)
         if len(gnss):
             summaries["GNSS"] = evaluation.summary(gnss, terms.origin_ns)
-    return Judged(of, gnss, summaries)
+    slope = judge_grade(material.grade, truth, terms) if material.grade is not None else None
+    return Judged(of, gnss, summaries, slope)
 
 
 def add_summary(page: Page, material: Material, judged: Judged) -> None:
@@ -71,6 +81,7 @@ def add_summary(page: Page, material: Material, judged: Judged) -> None:
         page.absent(text)
     if judged:
         _add_figures(page, judged)
+        _add_grade(page, judged)
         _add_protection(page, material, judged)
         _add_outages(page, material, judged)
         _add_all(page, judged)
@@ -99,6 +110,8 @@ def add_errors(page: Page, material: Material, judged: Judged, timeline: Timelin
         ("Across", "across_m", "error, m"),
         ("Up", "up_m", "error, m"),
         ("Speed", "speed_mps", "error, m/s"),
+        ("Roll", "roll_deg", "error, °"),
+        ("Pitch of the body", "pitch_deg", "error, °"),
         ("Heading", "yaw_deg", "error, °"),
     ):
         traces = []
@@ -113,7 +126,20 @@ def add_errors(page: Page, material: Material, judged: Judged, timeline: Timelin
             traces += _bounds(stated, name)
         if known := [each for each in traces if each.known]:
             figures.append(timeline.figure(title, unit, known))
+    if judged.grade is not None:
+        figures.append(_grade_figure(judged.grade, timeline))
     page.figures(figures)
+
+
+def _grade_figure(judgement: GradeJudgement, timeline: Timeline) -> Any:
+    """Error of the track's slope within its ± 2σ."""
+    errors = judgement.errors
+    half = 2 * errors.grade_std_pct
+    traces = [
+        Trace(GRADE, errors.stamp_ns, errors.grade_pct, FILTER),
+        Trace("± 2σ", errors.stamp_ns, None, TRUTH, (-half, half), 1.0, "solid", edges=True),
+    ]
+    return timeline.figure("Grade of the track", "error, %", traces)
 
 
 def _bounds(errors: Errors, name: str) -> list[Trace]:
@@ -147,13 +173,16 @@ def _stated(errors: Errors, name: str) -> Array:
             variance = c * c * P[:, 0, 0] + 2 * c * s * P[:, 0, 1] + s * s * P[:, 1, 1]
             along: Array = np.sqrt(variance)
             return along
-        slot = {"up_m": Slot.UP, "speed_mps": Slot.SPEED, "yaw_deg": Slot.YAW}[name]
+        slot = {"up_m": Slot.UP, "speed_mps": Slot.SPEED, **ANGLES}[name]
         std: Array = np.sqrt(P[:, slot, slot])
-    return np.degrees(std) if name == "yaw_deg" else std
+    return np.degrees(std) if name in ANGLES else std
 
 
 def _column(errors: MotionErrors, name: str) -> Array:
-    column: Array = np.degrees(errors.yaw_rad) if name == "yaw_deg" else getattr(errors, name)
+    if name in ANGLES:
+        angle: Array = np.degrees(errors.attitude_rad[:, ANGLES[name] - Slot.ROLL])
+        return angle
+    column: Array = getattr(errors, name)
     return column
 
 
@@ -229,6 +258,19 @@ def _add_figures(page: Page, judged: Judged) -> None:
     page.note(f"Percentiles are of the horizontal error. NEES: {MAIN} in position, speed, heading.")
 
 
+def _add_grade(page: Page, judged: Judged) -> None:
+    if judged.grade is None:
+        return
+    page.heading("Grade of the track")
+    rows: list[tuple[object, ...]] = []
+    for name, each in judged.grade.summary.items():
+        found = judged.grade.nees.get(name.rsplit("_", 1)[0])
+        if each is not None:
+            told = (found.mean, str(found.verdict)) if found is not None else (None, "")
+            rows.append((QUANTITIES[name], each.rms, each.p95, each.max, *told))
+    page.table(("error of", "RMS", "P95", "max", "NEES", "stated σ"), rows)
+
+
 def _add_protection(page: Page, material: Material, judged: Judged) -> None:
     rows = []
     for of, judgement in judged.of.items():
@@ -266,7 +308,10 @@ def _add_outages(page: Page, material: Material, judged: Judged) -> None:
 def _add_all(page: Page, judged: Judged) -> None:
     """Every statistic, folded."""
     rows: list[tuple[object, ...]] = []
-    for of, summary in judged.summaries.items():
+    summaries, nees = dict(judged.summaries), {of: each.nees for of, each in judged.of.items()}
+    if judged.grade is not None:
+        summaries[GRADE], nees[GRADE] = judged.grade.summary, judged.grade.nees
+    for of, summary in summaries.items():
         for quantity, each in summary.items():
             if each is not None:
                 percentiles = (each.p50, each.p90, each.p95, each.p99, each.max)
@@ -278,7 +323,7 @@ def _add_all(page: Page, judged: Judged) -> None:
     rows = [
         (
             of,
-            what,
+            what.replace("_", " "),
             each.dimensions,
             each.mean,
             f"{figure(each.bounds.low)} … {figure(each.bounds.high)}",
@@ -286,8 +331,8 @@ def _add_all(page: Page, judged: Judged) -> None:
             100 * each.inside_share,
             str(each.verdict),
         )
-        for of, judgement in judged.of.items()
-        for what, each in judgement.nees.items()
+        for of, found in nees.items()
+        for what, each in found.items()
     ]
     bounds = ("95 % of means", "worth samples", "inside 95 %, %", "stated σ")
     fold = "NEES: is the stated σ honest?"
@@ -306,7 +351,7 @@ def _add_stated(page: Page, material: Material) -> None:
             ("horizontal, m", horizontal),
             ("up, m", std_of(states, Slot.UP)),
             ("speed, m/s", std_of(states, Slot.SPEED)),
-            ("heading, °", np.degrees(std_of(states, Slot.YAW))),
+            *((QUANTITIES[name], np.degrees(std_of(states, of_))) for name, of_ in ANGLES.items()),
         ):
             known = std[np.isfinite(std)]
             if len(known):

@@ -19,7 +19,14 @@ from tramstream.analysis.evaluate.judgement import Terms, terms_of
 from tramstream.boundary import Undecodable
 from tramstream.clock import S
 from tramstream.config import Vehicle, Wheels
-from tramstream.estimation.series import Array, FixSeries, Instants, Slot, StateSeries
+from tramstream.estimation.series import (
+    Array,
+    FixSeries,
+    GradeSeries,
+    Instants,
+    Slot,
+    StateSeries,
+)
 from tramstream.recorder.columns import RideSeries
 from tramstream.recorder.describe import Description, describe
 from tramstream.recorder.health import HEALTH_TYPES, Health
@@ -103,6 +110,10 @@ class Material:
     @property
     def smoothed(self) -> StateSeries | None:
         return self.ride.states.get(keys.EST_SMOOTHED.path)
+
+    @property
+    def grade(self) -> GradeSeries | None:
+        return self.ride.grade
 
     @property
     def fixes(self) -> FixSeries | None:

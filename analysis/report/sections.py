@@ -9,6 +9,7 @@ import numpy as np
 from tramstream import keys
 from tramstream.analysis.evaluate.consistency import chi_square_interval
 from tramstream.analysis.evaluate.errors import COURSE_SPEED_MPS
+from tramstream.analysis.evaluate.grade import PITCH_IS_THE_BODYS, slope_pct
 from tramstream.analysis.report.charts import (
     BAD,
     CALM,
@@ -32,6 +33,7 @@ from tramstream.estimation.series import (
     Instants,
     Slot,
     StateSeries,
+    TruthSeries,
     wrapped_rad,
 )
 
@@ -127,38 +129,77 @@ def add_speed(page: Page, material: Material, timeline: Timeline) -> None:
 
 
 def add_attitude(page: Page, material: Material, timeline: Timeline) -> None:
-    """Heading and grade."""
+    """Heading, the track's grade, and how the body is turned."""
     page.section("Heading and grade")
-    headings, grades = [], []
-    truth, smoothed, states = material.ride.truth, material.smoothed, material.states
+    drawn = {
+        "Heading": ("clockwise from north, °", _headings(material)),
+        "Grade of the track": ("uphill positive, %", _grades(material)),
+        "Pitch of the body": ("nose down positive, °", _turns(material, Slot.PITCH)),
+        "Roll of the body": ("right side down positive, °", _turns(material, Slot.ROLL)),
+    }
+    known = {
+        title: (unit, [each for each in traces if each.known])
+        for title, (unit, traces) in drawn.items()
+    }
+    figures = [
+        timeline.figure(title, unit, traces) for title, (unit, traces) in known.items() if traces
+    ]
+    page.figures(figures)
+    if material.grade is None:
+        page.note(f"No {keys.EST_GRADE.path} in the record: {PITCH_IS_THE_BODYS}.")
+    if not known["Heading"][1] or not known["Pitch of the body"][1]:
+        page.absent(f"Not all of it is known without {material.estimate} in the record.")
+
+
+def _headings(material: Material) -> list[Trace]:
+    traces = []
+    truth, states = material.ride.truth, material.states
     if truth is not None:
-        headings.append(Trace("truth", truth.stamp_ns, _compass(truth.yaw_rad), TRUTH, width=3.5))
-        grade = _grade(truth.attitude_rad[:, 1])
-        grades.append(Trace("truth", truth.stamp_ns, grade, TRUTH, width=3.5))
+        traces.append(Trace("truth", truth.stamp_ns, _compass(truth.yaw_rad), TRUTH, width=3.5))
     if material.fixes is not None:
         fixes = material.fixes.take(material.fixes.speed_mps > COURSE_SPEED_MPS)
         course = _compass(fixes.course_yaw_rad)
-        headings.append(Trace("GNSS course", fixes.stamp_ns, course, GNSS, dots=True))
-    if smoothed is not None:
-        grade = _grade(smoothed.attitude_rad[:, 1])
-        grades.append(Trace("smoothed", smoothed.stamp_ns, grade, SMOOTHED))
+        traces.append(Trace("GNSS course", fixes.stamp_ns, course, GNSS, dots=True))
     if states is not None:
         spread = 2 * np.degrees(std_of(states, Slot.YAW))
         compass = _compass(np.where(states.heading_known, states.yaw_rad, np.nan))
-        headings.append(Trace.within("filter ± 2σ", states.stamp_ns, compass, spread, FILTER))
-        grade, spread = _grade(states.attitude_rad[:, 1]), 200 * std_of(states, Slot.PITCH)
-        grades.append(Trace.within("filter ± 2σ", states.stamp_ns, grade, spread, FILTER))
-    figures = [
-        timeline.figure(title, unit, known)
-        for title, unit, traces in (
-            ("Heading", "clockwise from north, °", headings),
-            ("Grade", "uphill positive, %", grades),
-        )
-        if (known := [each for each in traces if each.known])
+        traces.append(Trace.within("filter ± 2σ", states.stamp_ns, compass, spread, FILTER))
+    return traces
+
+
+def _grades(material: Material) -> list[Trace]:
+    """The track's: never a localiser's pitch, which is the body's."""
+    traces = []
+    truth, said = material.ride.truth, material.grade
+    if truth is not None:
+        traces.append(Trace("truth", truth.stamp_ns, slope_pct(truth.grade_rad), TRUTH, width=3.5))
+    if said is not None:
+        spread = slope_pct(2 * said.grade_std_rad)
+        grade = slope_pct(said.grade_rad)
+        traces.append(Trace.within("grade ± 2σ", said.stamp_ns, grade, spread, FILTER))
+    return traces
+
+
+def _turns(material: Material, slot: Slot) -> list[Trace]:
+    """Roll or pitch."""
+    column = slot - Slot.ROLL
+    traces = []
+    known: list[tuple[str, TruthSeries | StateSeries | None, str, float]] = [
+        ("truth", material.ride.truth, TRUTH, 3.5),
+        ("smoothed", material.smoothed, SMOOTHED, 1.5),
     ]
-    page.figures(figures)
-    if len(figures) < 2:
-        page.absent(f"Not all of it is known without {material.estimate} in the record.")
+    for name, series, colour, width in known:
+        if series is not None:
+            angle = np.degrees(series.attitude_rad[:, column])
+            traces.append(Trace(name, series.stamp_ns, angle, colour, width=width))
+    states = material.states
+    if states is not None:
+        angle, spread = (
+            np.degrees(states.attitude_rad[:, column]),
+            2 * np.degrees(std_of(states, slot)),
+        )
+        traces.append(Trace.within("filter ± 2σ", states.stamp_ns, angle, spread, FILTER))
+    return traces
 
 
 def add_parameters(page: Page, material: Material, timeline: Timeline) -> None:
@@ -241,12 +282,6 @@ def _compass(yaw_rad: Array) -> Array:
     heading: Array = np.degrees(wrapped_rad(np.pi / 2 - yaw_rad)) % 360
     heading[1:][np.abs(np.diff(heading)) > 180] = np.nan
     return heading
-
-
-def _grade(pitch_rad: Array) -> Array:
-    """Per cent, uphill positive: positive pitch is nose down."""
-    grade: Array = -100 * np.tan(pitch_rad)
-    return grade
 
 
 def _without_gnss(states: StateSeries, material: Material) -> Path:

@@ -59,9 +59,14 @@ def _ride(records: list[Record], estimate: str, truth_key: str) -> RideSeries:
             truth_key if record is of_truth else "",
             fixes=record is of_fixes,
             level=level,
+            grade=keys.EST_GRADE.path if record is records[0] else "",
         )
         level = level or ride.level
         found = RideSeries(
-            level, found.states | ride.states, found.truth or ride.truth, found.fixes or ride.fixes
+            level,
+            found.states | ride.states,
+            found.truth or ride.truth,
+            found.fixes or ride.fixes,
+            found.grade or ride.grade,
         )
     return found

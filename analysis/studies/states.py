@@ -88,4 +88,5 @@ def truth_at(simulation: Simulation, stamp_ns: Instants) -> TruthSeries:
     motion = truth.motion
     attitude = np.stack(simulation.ride.attitude(motion), axis=1)
     unknown = np.full(len(stamp_ns), np.nan)
-    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, attitude, unknown)
+    grade = simulation.ride.grade_rad(motion)
+    return TruthSeries(stamp_ns, truth.p_l, motion.speed_mps, attitude, unknown, grade)

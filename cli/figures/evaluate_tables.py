@@ -9,12 +9,16 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
+from tramstream.analysis.evaluate.consistency import Nees
+from tramstream.analysis.evaluate.evaluation import Evaluation
 from tramstream.analysis.evaluate.judgement import Judgement, Summary, Terms, group_name
 from tramstream.analysis.evaluate.outages import distance_m
 from tramstream.shown import shown
 from tramstream.wording import lasting
 
-UNITS = {"m": "m", "mps": "m/s", "deg": "°"}
+UNITS = {"m": "m", "mps": "m/s", "deg": "°", "pct": "%"}
+GRADE = "grade"
+"""What the track's slope is called beside the estimates."""
 
 
 def console() -> Console:
@@ -22,22 +26,26 @@ def console() -> Console:
     return Console(width=None if sys.stdout.isatty() else 120, highlight=False)
 
 
-def print_judgements(
-    of: Mapping[str, Judgement], gnss: Summary | None, terms: Terms, title: str
-) -> None:
-    """Everything: `of` is by the short name of the estimate, the main one first."""
-    out = console()
+def print_judgements(judged: Evaluation, title: str) -> None:
+    """Everything, the main estimate first."""
+    out, of, terms, grade = console(), judged.of, judged.terms, judged.grade
     name, main = next(iter(of.items()))
     out.print(shown(title), style="bold", markup=False, soft_wrap=True)
     for line in _facts(main):
         out.print(shown(line), markup=False, soft_wrap=True)
     summaries = {each: judgement.summary for each, judgement in of.items()}
-    if gnss is not None:
-        summaries["raw GNSS"] = gnss
+    if judged.gnss is not None:
+        summaries["raw GNSS"] = judged.gnss
+    if not isinstance(grade, str):
+        summaries[GRADE] = grade.summary
     out.print(_errors(summaries))
+    if isinstance(grade, str) and grade:
+        out.print(shown(grade), markup=False, soft_wrap=True)
     for each, judgement in of.items():
         if judgement.nees:
-            out.print(_nees(judgement, each))
+            out.print(_nees(judgement.nees, each))
+    if not isinstance(grade, str) and grade.nees:
+        out.print(_nees(grade.nees, GRADE))
     if main.nis:
         out.print(_nis(main, name))
     for each, judgement in of.items():
@@ -86,11 +94,11 @@ def _facts(main: Judgement) -> list[str]:
 
 def _errors(summaries: dict[str, Summary]) -> Table:
     table = _table("error", "of", "mean", "std", "RMS", "P50", "P90", "P95", "P99", "max", "at s")
-    for column in next(iter(summaries.values())):
+    for column in dict.fromkeys(name for summary in summaries.values() for name in summary):
         name, unit = column.rsplit("_", 1)
-        label = f"{name} {UNITS[unit]}"
+        label = f"{name.replace('_', ' ')} {UNITS[unit]}"
         for of, summary in summaries.items():
-            each = summary[column]
+            each = summary.get(column)
             if each is None:
                 continue
             figures = (each.mean, each.std, each.rms, each.p50, each.p90, each.p95, each.p99)
@@ -106,13 +114,13 @@ def _figure(value: float) -> str:
     return f"{value:.3f}" if size < 10 else f"{value:.2f}" if size < 100 else f"{value:.1f}"
 
 
-def _nees(judgement: Judgement, name: str) -> Table:
+def _nees(nees: Mapping[str, Nees], name: str) -> Table:
     table = _table(
         f"NEES of {name}", "mean", "ideal", "95 % of means", "worth", "inside 95 %", "verdict"
     )
-    for kind, each in judgement.nees.items():
+    for kind, each in nees.items():
         table.add_row(
-            kind,
+            kind.replace("_", " "),
             f"{each.mean:.2f}",
             f"{each.dimensions}",
             f"{each.bounds.low:.2f} … {each.bounds.high:.2f}",

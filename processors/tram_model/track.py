@@ -119,7 +119,7 @@ def take_grade(memory: Array, grade: float, R: float, gate: float) -> None:
 
 
 class TrackGrade(NamedTuple):
-    """Grade of the track, uphill positive along x of the vehicle."""
+    """Grade of the track, uphill positive along x of the vehicle; taken as a rigid body's pitch."""
 
     grade_rad: float
     variance_rad2: float

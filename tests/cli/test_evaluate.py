@@ -19,7 +19,7 @@ from tramstream.clock import S
 from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError, RecordError
 from tramstream.geodesy import LocalLevel
 from tramstream.keys import Key
-from tramstream.proto.estimate_pb2 import DistanceState, MotionState
+from tramstream.proto.estimate_pb2 import DistanceState, GradeState, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
 from tramstream.recorder.file.writer import RecordFile
@@ -83,6 +83,10 @@ def state_at(time_s: float, off: Off) -> MotionState:
         protection_across_m=2.0,
         covariance=[each for row in rows for each in row],
     )
+
+
+def slope_at(time_s: float, grade_rad: float) -> GradeState:
+    return GradeState(grade_rad=grade_rad, grade_std_rad=0.01, body_pitch_std_rad=0.01)
 
 
 def fix_at(time_s: float, along_m: float) -> GnssFix:
@@ -173,6 +177,45 @@ def test_table_holds_estimate_and_gnss(capsys, tmp_path):
     assert "raw GNSS" in text
     assert "NEES of state" in text
     assert "1199 states judged, left out: 1 without truth" in text
+
+
+def on_a_slope(grade_rad: float) -> list[tuple[Key, float, Any]]:
+    """The truth of a rigid body on an even slope."""
+    known = truth()
+    for _, _, message in known:
+        message.grade_rad, message.pitch_rad = grade_rad, -grade_rad
+    return known
+
+
+def test_slope_of_the_track_is_judged_in_per_cent_beside_the_states(capsys, tmp_path):
+    slopes = series(keys.EST_GRADE, slope_at, 0.05, 0.05)
+    path = write(tmp_path / "a.mcap", on_a_slope(0.04), states(), slopes)
+    figures = judged(capsys, path)
+    assert figures["grade_mean_pct"] == pytest.approx(100 * (math.tan(0.05) - math.tan(0.04)))
+    assert figures["nees_grade_mean"] == pytest.approx(1.0)
+    assert figures["pitch_mean_deg"] == pytest.approx(math.degrees(0.04))
+    evaluate(path)
+    text = capsys.readouterr().out
+    (line,) = (line for line in text.splitlines() if line.startswith("grade %"))
+    assert line.split()[2:4] == ["grade", "1.002"]
+    assert "NEES of grade" in text
+    assert "no slope of the track" not in text
+
+
+def test_record_without_a_slope_says_that_pitch_is_the_bodys(capsys, tmp_path):
+    path = write(tmp_path / "a.mcap", on_a_slope(0.04), states())
+    assert judged(capsys, path)["grade_states"] == 0
+    evaluate(path)
+    assert "pitch is the body's, and no slope of the track" in capsys.readouterr().out
+
+
+def test_slope_in_a_reprocessed_record_is_judged_by_the_truth_of_its_source(capsys, tmp_path):
+    write(tmp_path / "ride.mcap", on_a_slope(0.04), fixes())
+    slopes = series(keys.EST_GRADE, slope_at, 0.05, 0.04)
+    out = write(tmp_path / "out.mcap", states(), slopes, reprocessed_from="ride.mcap")
+    figures = judged(capsys, out)
+    assert figures["grade_states"] == len(slopes)
+    assert figures["grade_max_pct"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_worst_error_is_given_with_its_time(capsys, tmp_path):

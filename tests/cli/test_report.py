@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import math
 import re
 import shutil
 from html.parser import HTMLParser
@@ -131,6 +132,35 @@ def test_figures_are_those_of_evaluate(ride, page):
     assert [row[2] for row in sides[:2]] == [
         figure(judged[f"protection_{side}_mean_m"]) for side in ("along", "across")
     ]
+
+
+def test_slope_of_the_track_is_judged_and_drawn_apart_from_the_pitch(ride, page):
+    judged = json.loads(tramstream("evaluate", ride, "--json").stdout)
+    rows = read(page).rows
+    row = next(row for row in rows if row[:1] == ["grade of the track, %"])
+    names = ("grade_rms_pct", "grade_p95_pct", "grade_max_pct", "nees_grade_mean")
+    assert row[1:5] == [figure(judged[name]) for name in names]
+    for what in ("roll, °", "pitch of the body, °", "grade of the track, %"):
+        assert any(what in row[:2] for row in rows), what
+
+
+def test_truths_grade_is_the_tracks_and_not_the_bodys_pitch(tmp_path):
+    made = MadeUpRide(20.0)
+    samples = list(made.truth())
+    for sample in samples:
+        sample.message.grade_rad, sample.message.pitch_rad = 0.03, 0.05
+    drawn = series(compose(collect(write(tmp_path / "t.mcap", iter(samples)), "", "", print)))
+    constant = {round(float(each[0]), 4) for each in drawn if len(each) > 5 and np.ptp(each) == 0}
+    assert round(100 * math.tan(0.03), 4) in constant
+    assert round(math.degrees(0.05), 4) in constant
+    assert round(100 * math.tan(-0.05), 4) not in constant
+
+
+def test_page_without_a_slope_says_that_pitch_is_the_bodys(tmp_path):
+    made = MadeUpRide(10.0)
+    path = write(tmp_path / "a.mcap", made.truth(), made.estimate(keys.EST_STATE))
+    text = "".join(read(compose(collect(path, "", "", print))).text)
+    assert "pitch is the body's, and no slope of the track" in text
 
 
 def test_every_section_is_filled(page):

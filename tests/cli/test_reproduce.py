@@ -53,6 +53,26 @@ def test_kind_of_rides_that_is_not_there_is_told_with_those_there_are() -> None:
         assert kind in str(result.exception)
 
 
+@pytest.mark.parametrize("line", ["nowhere.geojson", "lines.geojson#7/0"])
+def test_chladek2023_says_which_file_of_lines_it_wants(line: str) -> None:
+    result = run("chladek2023", "--line", line, "--json")
+    assert isinstance(result.exception, ConfigError)
+    assert line in str(result.exception)
+    assert result.stdout == ""
+
+
+def test_chladek2023_wants_as_many_rides_as_it_is_judged_by() -> None:
+    result = run("chladek2023", "--line", "a.geojson", "--seeds", "3")
+    assert isinstance(result.exception, ConfigError)
+    assert "needs 10 at least" in str(result.exception)
+
+
+def test_chladek2023_takes_one_file() -> None:
+    result = run("chladek2023", "--line", "a.geojson", "--line", "b.geojson")
+    assert isinstance(result.exception, ConfigError)
+    assert "takes one --line" in str(result.exception)
+
+
 @pytest.mark.live
 def test_kaspar2023_prints_one_json_object_of_both_models() -> None:
     options = ("--seeds", "1", "--seed", "7", "--duration-s", "25", "--json")

@@ -12,7 +12,16 @@ import pytest
 
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel
-from tramstream.lines.geojson import GRADE_MAX, deviation_m, lay, load, read, track
+from tramstream.lines.geojson import (
+    GRADE_MAX,
+    chainage_m,
+    deviation_m,
+    lay,
+    load,
+    read,
+    slope,
+    track,
+)
 from tramstream.lines.line import built_in_line
 from tramstream.simulation.ride import Limits, Ride
 
@@ -127,6 +136,15 @@ def test_third_coordinates_are_ellipsoidal_heights() -> None:
     coordinates = [[*row, 310.0] for row in degrees(STRAIGHT)]
     line = lay(track({"type": "LineString", "coordinates": coordinates}, "x"))
     assert line.level.to_geodetic(line.position_l(500.0))[2] == pytest.approx(310.0, abs=0.01)
+
+
+def test_slope_by_chainage_is_that_of_the_heights_and_not_the_earths() -> None:
+    plan = np.column_stack([np.linspace(0.0, 2000.0, 41), np.zeros(41)])
+    heights = 200.0 + 0.04 * plan[:, 0]
+    mapped = track(feature(plan, srtm3_m=heights.tolist()), "x")
+    np.testing.assert_allclose(chainage_m(mapped), plan[:, 0], atol=0.1)
+    found = slope(mapped)
+    np.testing.assert_allclose(np.tan(found(np.arange(300.0, 1700.0, 10.0))), 0.04, atol=1e-5)
 
 
 def test_cliff_in_the_terrain_is_smoothed_to_a_grade_that_a_tram_climbs() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ from record_samples import START_NS, VEHICLE
 
 from tramstream import keys
 from tramstream.clock import S
-from tramstream.estimation.series import Slot
+from tramstream.estimation.series import GradeSeries, Slot
 from tramstream.geodesy import LocalLevel
-from tramstream.proto.estimate_pb2 import Innovation, MotionState
+from tramstream.proto.estimate_pb2 import GradeState, Innovation, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import TruthState
 from tramstream.recorder.columns import RideSeries, read_ride
@@ -104,6 +105,31 @@ def test_innovations_know_their_state_and_name(tmp_path):
     found = read_states(tmp_path / "a.mcap", *messages).innovations
     assert [found.names[k] for k in found.which] == ["gnss", "wheel", "wheel"]
     np.testing.assert_array_equal(found.stamp_ns - START_NS, [0, 0, 2])
+
+
+def test_slopes_of_truth_and_estimator_are_columns(tmp_path):
+    said = GradeState(
+        stamp_ns=START_NS,
+        grade_rad=-0.02,
+        grade_std_rad=0.001,
+        body_pitch_rad=0.004,
+        body_pitch_std_rad=0.002,
+        inputs=["accelerometer"],
+    )
+    place = {"latitude_deg": 50.0, "longitude_deg": 14.0}
+    messages = [
+        (keys.EST_GRADE, said),
+        (keys.TRUTH_STATE, TruthState(stamp_ns=START_NS, **place, pitch_rad=0.03, grade_rad=-0.02)),
+        (keys.TRUTH_STATE, TruthState(stamp_ns=START_NS + S, **place, pitch_rad=0.03)),
+    ]
+    path = tmp_path / "a.mcap"
+    ride = read(path, messages, truth=keys.TRUTH_STATE.path, grade=keys.EST_GRADE.path)
+    assert [getattr(ride.grade, each.name)[0] for each in fields(GradeSeries)] == [
+        *(START_NS, -0.02, 0.001),
+        *(0.004, 0.002),
+    ]
+    np.testing.assert_array_equal(ride.truth.grade_rad, [-0.02, np.nan])
+    np.testing.assert_allclose(ride.truth.body_pitch_rad, [0.01, np.nan])
 
 
 def test_truth_that_does_not_know_says_nan_and_zero_is_zero(tmp_path):

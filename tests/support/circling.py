@@ -36,7 +36,12 @@ def truth(time_s: np.ndarray, std_m: float = np.nan) -> TruthSeries:
     attitude = np.zeros((len(yaw), 3))
     attitude[:, 2] = yaw
     return TruthSeries(
-        stamps(time_s), p_l, np.full(len(yaw), SPEED_MPS), attitude, np.full(len(yaw), std_m)
+        stamps(time_s),
+        p_l,
+        np.full(len(yaw), SPEED_MPS),
+        attitude,
+        np.full(len(yaw), std_m),
+        np.zeros(len(yaw)),
     )
 
 

@@ -20,7 +20,13 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.keys import Key
 from tramstream.lines.line import built_in_line
-from tramstream.proto.estimate_pb2 import FilterParameters, Innovation, MotionState, Parameter
+from tramstream.proto.estimate_pb2 import (
+    FilterParameters,
+    GradeState,
+    Innovation,
+    MotionState,
+    Parameter,
+)
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import ClockReference, DeviceHealth, Loss, NodeHealth
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
@@ -35,7 +41,7 @@ WRONG_EVERY = 37
 """One of so many fixes is 30 m off; the filter refuses it."""
 
 ALONG_STD_M, ACROSS_STD_M, UP_STD_M = 0.6, 0.3, 1.0
-SPEED_STD_MPS, YAW_STD_RAD, ATTITUDE_STD_RAD = 0.05, 0.01, 0.005
+SPEED_STD_MPS, YAW_STD_RAD, ATTITUDE_STD_RAD, GRADE_STD_RAD = 0.05, 0.01, 0.005, 0.002
 PROTECTION = 5.33
 """Two-sided normal quantile of a risk of 1e-7."""
 
@@ -160,6 +166,24 @@ class MadeUpRide:
                 state.innovations.extend(self._innovations(k // step))
             yield Sample(key, stamp_ns, state)
 
+    def slopes(self) -> Iterator[Sample]:
+        """What a grade estimator says, off by its deviation."""
+        motion = self.ride.motion(self.time_s)
+        grade = self.ride.grade_rad(motion) + gauss_markov(
+            self.rng, len(self.time_s), GRADE_STD_RAD
+        )
+        nod = gauss_markov(self.rng, len(self.time_s), GRADE_STD_RAD)
+        for t, slope, pitch in zip(self.time_s, grade, nod, strict=True):
+            stamp_ns = START_NS + round(t * S)
+            message = GradeState(
+                stamp_ns=stamp_ns,
+                grade_rad=slope,
+                grade_std_rad=GRADE_STD_RAD,
+                body_pitch_rad=pitch,
+                body_pitch_std_rad=GRADE_STD_RAD,
+            )
+            yield Sample(keys.EST_GRADE, stamp_ns, message)
+
     def _innovations(self, fix: int) -> Iterator[Innovation]:
         wrong = fix % WRONG_EVERY == WRONG_EVERY - 1
         for name, std in (("gnss_east", 1.0), ("gnss_north", 1.0), ("odometry", 0.05)):
@@ -260,6 +284,7 @@ def whole_ride(path: Path, duration_s: float = 60.0, rate_hz: float = 10.0) -> P
         made.wheels(),
         made.estimate(keys.EST_STATE),
         made.estimate(keys.EST_SMOOTHED, 0.5),
+        made.slopes(),
         made.parameters(),
         made.health(),
     )

@@ -116,11 +116,32 @@ class TruthSeries(Table):
     """(n, 3): roll, pitch, yaw."""
     position_std_m: Array
     """Horizontal, per axis; NaN is exact."""
+    grade_rad: Array
+    """Slope of the track under the origin along x of the vehicle, uphill positive."""
 
     @property
     def yaw_rad(self) -> Array:
         yaw: Array = self.attitude_rad[:, 2]
         return yaw
+
+    @property
+    def body_pitch_rad(self) -> Array:
+        """Pitch of the body against the track, nose down positive: what its springs do."""
+        pitch: Array = self.attitude_rad[:, 1] + self.grade_rad
+        return pitch
+
+
+@dataclass(frozen=True)
+class GradeSeries(Table):
+    """What a grade estimator said: the track's slope, and how the body is turned against it."""
+
+    stamp_ns: Instants
+    grade_rad: Array
+    """Uphill positive along x of the vehicle."""
+    grade_std_rad: Array
+    body_pitch_rad: Array
+    """Nose down positive."""
+    body_pitch_std_rad: Array
 
 
 @dataclass(frozen=True)
@@ -173,7 +194,17 @@ def interpolate_truth(
     left, right = bracket(truth.stamp_ns, stamp_ns)
     std = np.fmax(truth.position_std_m[left], truth.position_std_m[right])
     std[~np.isfinite(motion.p_l[:, 0])] = np.nan
-    return TruthSeries(*motion, position_std_m=std)
+    grade = linear(truth.stamp_ns, truth.grade_rad, stamp_ns)
+    return TruthSeries(*motion, position_std_m=std, grade_rad=grade)
+
+
+def linear(grid_ns: Instants, values: Array, stamp_ns: Instants) -> Array:
+    """Bring one column to `stamp_ns` along straight lines; NaN as in `interpolate_truth`."""
+    at = _between(grid_ns, stamp_ns)
+    between = values[at.left] + at.u * (values[at.right] - values[at.left])
+    here = np.where(at.exact, values[at.left], between)
+    found: Array = np.where(at.known, here, np.nan)
+    return found
 
 
 def is_dense(truth: TruthSeries) -> bool:

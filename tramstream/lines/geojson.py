@@ -162,6 +162,19 @@ def lay_beside(mapped: Track) -> Laid:
     return Laid(line, course.arc_length_m, (course.chainage_m + begin_m) / scale)
 
 
+def slope(mapped: Track) -> Profile:
+    """Slope angle of a mapped track against its chainage in plan, as `lay` has it, from its first
+    node to its last; nothing is fitted, and the Earth is flat."""
+    heights = mapped.geodetic[:, 2]
+    return _slope(chainage_m(mapped), heights, heights)[0]
+
+
+def chainage_m(mapped: Track) -> Array:
+    """Of the nodes of a mapped track, along their chain in plan."""
+    level = LocalLevel(*(float(number) for number in mapped.geodetic[0]))
+    return _chainage(level.from_geodetic(mapped.geodetic)[:, :2])
+
+
 def deviation_m(mapped: Track, line: Line) -> float:
     """Largest distance of the line, looked at every metre, from the map's edges in plan."""
     points = line.level.from_geodetic(mapped.geodetic)[:, :2]

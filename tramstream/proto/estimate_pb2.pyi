@@ -234,3 +234,69 @@ class TrackGeometry(_message.Message):
     ahead_m: float
     behind_m: float
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., probability: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., curvature_per_m: _Optional[float] = ..., grade_rad: _Optional[float] = ..., across_variance_m2: _Optional[float] = ..., yaw_variance_rad2: _Optional[float] = ..., curvature_variance_per_m2: _Optional[float] = ..., grade_variance_rad2: _Optional[float] = ..., ahead_m: _Optional[float] = ..., behind_m: _Optional[float] = ...) -> None: ...
+
+class GradeState(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "grade_rad", "grade_std_rad", "body_pitch_rad", "body_pitch_std_rad", "speed_mps", "edge", "run", "chainage_m", "probability", "inputs", "mass_kg", "mass_std_kg", "rolling_resistance", "rolling_resistance_std", "innovations")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    GRADE_RAD_FIELD_NUMBER: _ClassVar[int]
+    GRADE_STD_RAD_FIELD_NUMBER: _ClassVar[int]
+    BODY_PITCH_RAD_FIELD_NUMBER: _ClassVar[int]
+    BODY_PITCH_STD_RAD_FIELD_NUMBER: _ClassVar[int]
+    SPEED_MPS_FIELD_NUMBER: _ClassVar[int]
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    INPUTS_FIELD_NUMBER: _ClassVar[int]
+    MASS_KG_FIELD_NUMBER: _ClassVar[int]
+    MASS_STD_KG_FIELD_NUMBER: _ClassVar[int]
+    ROLLING_RESISTANCE_FIELD_NUMBER: _ClassVar[int]
+    ROLLING_RESISTANCE_STD_FIELD_NUMBER: _ClassVar[int]
+    INNOVATIONS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    grade_rad: float
+    grade_std_rad: float
+    body_pitch_rad: float
+    body_pitch_std_rad: float
+    speed_mps: float
+    edge: str
+    run: int
+    chainage_m: float
+    probability: float
+    inputs: _containers.RepeatedScalarFieldContainer[str]
+    mass_kg: float
+    mass_std_kg: float
+    rolling_resistance: float
+    rolling_resistance_std: float
+    innovations: _containers.RepeatedCompositeFieldContainer[Innovation]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., grade_rad: _Optional[float] = ..., grade_std_rad: _Optional[float] = ..., body_pitch_rad: _Optional[float] = ..., body_pitch_std_rad: _Optional[float] = ..., speed_mps: _Optional[float] = ..., edge: _Optional[str] = ..., run: _Optional[int] = ..., chainage_m: _Optional[float] = ..., probability: _Optional[float] = ..., inputs: _Optional[_Iterable[str]] = ..., mass_kg: _Optional[float] = ..., mass_std_kg: _Optional[float] = ..., rolling_resistance: _Optional[float] = ..., rolling_resistance_std: _Optional[float] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ...) -> None: ...
+
+class StoppingDistance(_message.Message):
+    __slots__ = ("deceleration_mps2", "distance_m", "distance_std_m", "level_m")
+    DECELERATION_MPS2_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_M_FIELD_NUMBER: _ClassVar[int]
+    deceleration_mps2: float
+    distance_m: float
+    distance_std_m: float
+    level_m: float
+    def __init__(self, deceleration_mps2: _Optional[float] = ..., distance_m: _Optional[float] = ..., distance_std_m: _Optional[float] = ..., level_m: _Optional[float] = ...) -> None: ...
+
+class GradeStopping(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "speed_mps", "grade_ahead_rad", "mapped_m", "stops")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    SPEED_MPS_FIELD_NUMBER: _ClassVar[int]
+    GRADE_AHEAD_RAD_FIELD_NUMBER: _ClassVar[int]
+    MAPPED_M_FIELD_NUMBER: _ClassVar[int]
+    STOPS_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    speed_mps: float
+    grade_ahead_rad: float
+    mapped_m: float
+    stops: _containers.RepeatedCompositeFieldContainer[StoppingDistance]
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., speed_mps: _Optional[float] = ..., grade_ahead_rad: _Optional[float] = ..., mapped_m: _Optional[float] = ..., stops: _Optional[_Iterable[_Union[StoppingDistance, _Mapping]]] = ...) -> None: ...

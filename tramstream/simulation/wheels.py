@@ -140,7 +140,8 @@ class Resistance:
 def motor_force_n(motion: Motion, resistance: Resistance | None = None) -> Array:
     """Force of motors and brakes along x that makes the vehicle move as it does.
 
-    None while standing: then the parking brake holds it.
+    The motion is that of a point on the track, whose pitch is minus the grade. None while standing:
+    then the parking brake holds it.
     """
     model = resistance or Resistance()
     drag = 0.5 * model.drag_coefficient * model.frontal_area_m2 * model.air_density_kgpm3
