@@ -10,7 +10,9 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-WORKS = ("konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds", "day")
+WORKS = (
+    "konecny2004", "kaspar2023", "drives", "matching", "receivers", "worlds", "day", "allan",
+)  # fmt: skip
 
 
 def reproduce(
@@ -22,7 +24,7 @@ def reproduce(
         int | None,
         typer.Option(
             help="Rides of each kind (kaspar2023, default 5), line (matching, default 10) or world "
-            "(worlds, default 1).",
+            "(worlds, default 1); records (allan, default 20).",
             min=1,
         ),
     ] = None,
@@ -76,7 +78,7 @@ def reproduce(
     ] = None,
     hours: Annotated[
         float | None,
-        typer.Option(help="day: of which length; default 8.", min=0.1, max=24.0),
+        typer.Option(help="day, allan: of which length; default 8, 6.", min=0.1, max=24.0),
     ] = None,
     frame_hz: Annotated[
         float | None,
@@ -85,8 +87,8 @@ def reproduce(
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
-    matcher, of captured receivers, or of the localisation in many worlds or on a day of eight
-    hours."""
+    matcher, of captured receivers, of the localisation in many worlds or on a day of eight
+    hours, or of noise estimated from simulated standstill."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError

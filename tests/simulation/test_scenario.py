@@ -19,7 +19,7 @@ from tramstream.simulation.scenario import GnssJump, Slide, Tunnel, load, names,
 def test_every_work_has_its_scenario_and_city_matching_and_trams_are_ours() -> None:
     assert names() == [
         "chladek2023", "city", "kaspar2023", "konecny2004", "matching", "melenovsky2023",
-        "pusman2017", "tram", "tram_articulated",
+        "pusman2017", "still", "tram", "tram_articulated",
     ]  # fmt: skip
 
 
