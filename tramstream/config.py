@@ -25,6 +25,8 @@ Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
+Three = Annotated[tuple[NotNegative, ...], Meta(min_length=3, max_length=3)]
+"""As `Vector`, where it stands beside a number: msgspec 0.22 reads no fixed tuple there."""
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -84,7 +86,7 @@ class Imu(Struct, frozen=True, kw_only=True):
     sensor's axes (docs/theory.md, section 1.2)."""
     mounting_q_bv: Quaternion | None = None
     """Instead of `mounting_deg`, the same turn as a quaternion, w x y z: C_bv without loss."""
-    mounting_std_deg: NotNegative | tuple[NotNegative, NotNegative, NotNegative] = 1.0
+    mounting_std_deg: NotNegative | Three = 1.0
     """How well the mounting is known: about each axis of the vehicle, x y z, or one number for all;
     the filter estimates the rest."""
     delay_std_s: NotNegative = 0.002

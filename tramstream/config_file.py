@@ -191,12 +191,7 @@ def to_toml(vehicle: Vehicle) -> str:
 
     Settings that a calibration gave say so beside them.
     """
-    plain = _plain(vehicle)
-    records = (plain["calibrated"] or {}).pop("records", [])
-    text = toml_text.document(plain, remarks=remarks(vehicle))
-    for record in records:
-        text += f"\n[[calibrated.records]]\n{toml_text.document(record)}"
-    return text
+    return toml_text.document(_plain(vehicle), remarks=remarks(vehicle))
 
 
 def remarks(vehicle: Vehicle) -> dict[str, str]:

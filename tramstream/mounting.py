@@ -93,6 +93,7 @@ def check(mounting_deg: Triple, q: Quaternion | None) -> None:
         raise ValueError("`mounting_deg` and `mounting_q_bv` are different turns: state one")
 
 
-def about_axes(std: float | Triple) -> Triple:
+def about_axes(std: float | tuple[float, ...]) -> Triple:
     """A deviation about each of three axes, where one number may stand for all."""
-    return std if isinstance(std, tuple) else (std, std, std)
+    x, y, z = std if isinstance(std, tuple) else (std, std, std)
+    return x, y, z

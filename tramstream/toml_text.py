@@ -31,20 +31,23 @@ def document(
 
 
 def _lines(values: Mapping[str, Any], path: str, remarks: Mapping[str, str]) -> Iterator[str]:
+    def beside(name: str) -> str:
+        # What a remark quotes may hold what ends a comment.
+        remark = shown(remarks.get(name, ""))
+        return f"  # {remark}" if remark else ""
+
     tables = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
             tables[name] = value
         elif value is not None:
-            remark = remarks.get(f"{path}.{name}" if path else name)
-            # A name of a file may hold what ends a comment.
-            beside = f"  # {' '.join(shown(remark).split())}" if remark else ""
-            yield f"{key_text(name)} = {value_text(value)}{beside}"
+            whole = f"{path}.{name}" if path else name
+            yield f"{key_text(name)} = {value_text(value)}{beside(whole)}"
     for name, table in tables.items():
         inner = f"{path}.{key_text(name)}" if path else key_text(name)
         if not table or not all(isinstance(each, Mapping) for each in table.values()):
             yield ""
-            yield f"[{inner}]"
+            yield f"[{inner}]{beside(inner) or beside(path)}"
         yield from _lines(table, inner, remarks)
 
 
