@@ -41,9 +41,9 @@ def reproduce(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m; "
-            "default all. matching: plain (the default), slow or gyro. day: no map, map; "
-            "default both. May be given several times.",
+            help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m, "
+            "allan (sensors at rest); default all. matching: plain (the default), slow or gyro. "
+            "day: no map, map; default both. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[

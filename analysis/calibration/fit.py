@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 NONE = Noise(math.nan)
 WALK_SEEN = 6.63
 """Twice the logarithm of the likelihood's ratio without K: by chance in 0.5 % of all records."""
+WALK_KEPT = 0.5
+"""Beside an instability a walk that is not seen stays in the model from here on: left out, it would
+be taken for a part of B and T_b."""
 INSTABILITY_SEEN = 12.0
 """Likewise for B with its T_b, which can be put anywhere: about one record in a thousand."""
 LIMIT = 2.71
@@ -46,7 +49,7 @@ class Fit:
     """What a record tells of an axis; counts, or SI after `scaled`."""
 
     noise: Noise
-    """Most likely values; zero for what is not seen."""
+    """Most likely values of what is in the model; zero for what is not."""
     std: dict[str, float] = field(default_factory=dict)
     """Of the logarithm of each coefficient that is seen, by its name: the relative deviation."""
     limit: dict[str, float] = field(default_factory=dict)
@@ -204,18 +207,19 @@ class _Search:
         whole = min(whole, without_walk, alone)
         unstable_seen = alone - whole > INSTABILITY_SEEN
         if unstable_seen:
-            walk_seen = without_walk - whole > WALK_SEEN
-            names, best = ("BK", x) if walk_seen else ("B", unstable)
+            gain = without_walk - whole
+            names, best = ("BK", x) if gain > WALK_KEPT else ("B", unstable)
         else:
-            walk_seen = white - alone > WALK_SEEN
-            names, best = ("K", walk) if walk_seen else ("", np.zeros(0))
-        limits, limit_time_s = self._limits(names, best)
+            gain = white - alone
+            names, best = ("K", walk) if gain > WALK_SEEN else ("", np.zeros(0))
+        seen = names if gain > WALK_SEEN else names.replace("K", "")
+        limits, limit_time_s = self._limits(names, seen, best)
         noise = self._of(names, best)
         found = self._found(noise)
         full = self._of("BK", x)
         return Fit(
             noise=_times(noise, found.white),
-            std=self._std(names, best, found),
+            std=self._std(names, seen, best, found),
             limit={name: value * found.white for name, value in limits.items()},
             limit_time_s=limit_time_s,
             full=_times(full, self._found(full).white),
@@ -224,7 +228,7 @@ class _Search:
             per_degc_std=found.per_degc_std if self._temperature else math.nan,
         )
 
-    def _std(self, names: str, best: Array, found: Found) -> dict[str, float]:
+    def _std(self, names: str, seen: str, best: Array, found: Found) -> dict[str, float]:
         """Relative deviations from the curvature; that of N with what the others cost it."""
         count, step = len(best), 0.05
         deviance = self._deviance(names)
@@ -254,33 +258,40 @@ class _Search:
             if name != "T_b":  # B and K were sought over N
                 own += of_white + 2 * float(with_white[i])
             std[name] = math.sqrt(max(own, 0.0))
-        return std
+        return {name: value for name, value in std.items() if name != "K" or "K" in seen}
 
-    def _limits(self, names: str, best: Array) -> tuple[dict[str, float], float]:
+    def _limits(self, names: str, seen: str, best: Array) -> tuple[dict[str, float], float]:
         """Largest values of what is not seen, over N, and the T_b of that of B."""
         limits: dict[str, float] = {}
         time_s = math.nan
         lowest = self._deviance(names)(best)
-        if "K" not in names:
-            limits["K"] = self._limit(lambda walk: self._at_walk(walk, names, best), lowest)
+        if "K" not in seen:
+            start = float(best[-1]) if "K" in names else self._walks[0]
+            limits["K"] = self._limit(lambda walk: self._at_walk(walk, names, best), lowest, start)
         if "B" not in names:
             shortest = self._times_s[0] * 2
             longest = max(self._duration_s / _LIMIT_TIMES, 2 * shortest)
-            found = [
-                (self._limit(self._at_instability(each, names, best), lowest), each)
-                for each in np.geomspace(shortest, longest, 5).tolist()
-            ]
+            model, found = self._of(names, best), []
+            for each in np.geomspace(shortest, longest, 5).tolist():
+                # A flat part half as high as what is there is a guess that is never far off.
+                start = math.log(math.sqrt(float(model.allan_variance(1.89 * each))) / 1.3)
+                deviance = self._at_instability(each, names, best)
+                found.append((self._limit(deviance, lowest, start), each))
             limits["B"], time_s = max(found)
         return limits, time_s
 
-    def _limit(self, deviance: Callable[[float], float], lowest: float) -> float:
-        """The value at which a deviance, of its logarithm, has risen by `LIMIT`."""
-        low, high = self._walks[0], self._walks[0]
-        while deviance(high) - lowest < LIMIT:
+    def _limit(self, deviance: Callable[[float], float], lowest: float, start: float) -> float:
+        """The value at which a deviance, of its logarithm, has risen by `LIMIT` for good."""
+        low = high = start
+        while deviance(low) - lowest > LIMIT:
+            high, low = low, low - 1.0
+            if low < -60.0:
+                return 0.0
+        while high == low or deviance(high) - lowest < LIMIT:
             low, high = high, high + 1.0
             if high > 20.0:
                 return math.inf
-        while high - low > 0.02:
+        while high - low > 0.03:
             middle = (low + high) / 2
             low, high = (middle, high) if deviance(middle) - lowest < LIMIT else (low, middle)
         return math.exp(high)

@@ -96,9 +96,9 @@ def test_gauss_markov_has_its_series_and_its_peak() -> None:
 
 
 def test_bound_of_white_noise_alone_is_that_of_a_variance() -> None:
-    assert whittle_bound(Noise(2.0), 100.0, 50.0) == {"N": pytest.approx(1 / math.sqrt(5000))}
+    assert whittle_bound(Noise(2.0), 100.0, 50.0) == {"N": pytest.approx(1 / math.sqrt(2 * 5000))}
     bounds = whittle_bound(REFERENCE, 21600.0, 2000.0)
-    assert bounds["N"] == pytest.approx(1 / math.sqrt(2 * 21600 * 2000 / 2 * 2 / 2), rel=0.01)
+    assert bounds["N"] == pytest.approx(1 / math.sqrt(2 * 21600 * 2000), rel=0.01)
     assert all(0.01 < bounds[name] < 0.5 for name in ("B", "T_b", "K"))
 
 

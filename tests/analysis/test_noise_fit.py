@@ -17,9 +17,9 @@ from tramstream.analysis.calibration.likelihood import innovations, likelihood, 
 from tramstream.analysis.calibration.noise import Noise, whittle_bound
 
 Array = NDArray[np.float64]
-NOISE = Noise(2.0, 1.5, 30.0, 0.02)
+NOISE = Noise(2.0, 1.5, 30.0, 0.05)
 BLOCK_S, COUNT, OCTAVES = 1.0, 6000, 5
-SEEDS = 12
+SEEDS = 8
 
 
 def fits(noise: Noise, seeds: int = SEEDS, count: int = COUNT) -> list[Fit]:
@@ -87,36 +87,27 @@ def test_errors_are_those_that_the_bound_allows_and_the_fit_knows_them() -> None
     bounds = whittle_bound(NOISE, COUNT * BLOCK_S, 2**OCTAVES / BLOCK_S)
     for name in ("N", "B", "T_b", "K"):
         true = value_of(NOISE, name)
-        error = np.array(
-            [value_of(each.noise, name) / true - 1 for each in found if name in each.std]
-        )
-        assert len(error) >= SEEDS - 2, name
-        rms = float(np.sqrt(np.mean(error**2)))
+        error = np.array([value_of(each.full, name) / true - 1 for each in found])
         assert bounds[name] < 0.5
-        assert rms < 1.5 * bounds[name], name
-        log_error = np.array(
-            [
-                math.log(value_of(each.noise, name) / true) / each.std[name]
-                for each in found
-                if name in each.std
-            ]
+        assert float(np.sqrt(np.mean(error**2))) < 1.5 * bounds[name], name
+        seen = [each for each in found if name in each.std]
+        assert len(seen) > SEEDS / 2
+        scaled = np.array(
+            [math.log(value_of(each.noise, name) / true) / each.std[name] for each in seen]
         )
-        low, high = stats.chi2.ppf([0.001, 0.999], len(log_error)) / len(log_error)
-        assert low < np.mean(log_error**2) < high, name
-        inside = [
-            low <= true <= high
-            for low, high in (each.interval(name) for each in found if name in each.std)
-        ]
+        low, high = stats.chi2.ppf([0.001, 0.999], len(seen)) / len(seen)
+        assert low < float(np.mean(scaled**2)) < high, name
+        inside = [low <= true <= high for low, high in (each.interval(name) for each in seen)]
         assert np.mean(inside) > 0.7
 
 
 def test_what_is_not_there_is_not_seen_and_its_limit_holds() -> None:
-    for each in fits(Noise(2.0), 6, 3000):
+    for each in fits(Noise(2.0), 3, 3000):
         assert set(each.std) == {"N"}
         assert set(each.limit) == {"B", "K"}
         assert 0 < each.limit["K"] < 0.05
     bounded = [
-        each.limit["K"] for each in fits(Noise(2.0, walk=1e-4), 6, 3000) if "K" in each.limit
+        each.limit["K"] for each in fits(Noise(2.0, walk=1e-4), 3, 3000) if "K" in each.limit
     ]
     assert all(limit > 1e-4 for limit in bounded)
 
@@ -124,7 +115,7 @@ def test_what_is_not_there_is_not_seen_and_its_limit_holds() -> None:
 def test_flat_part_below_a_strong_walk_gets_a_limit_and_no_figure() -> None:
     """The reference gyroscope's: its walk is 300 times as strong (docs/theory.md, section 3.9)."""
     noise = Noise(0.00011344, 0.000029088, 100.0, 0.000075630)
-    for each in fits(noise, 4, 3000):
+    for each in fits(noise, 2, 3000):
         assert "B" not in each.std
         assert each.limit["B"] > noise.instability
         assert each.noise.walk == pytest.approx(noise.walk, rel=5 * each.std["K"])
@@ -132,7 +123,7 @@ def test_flat_part_below_a_strong_walk_gets_a_limit_and_no_figure() -> None:
 
 def test_temperature_is_told_from_the_walk_and_taken_out() -> None:
     per_degc, errors = 0.8, []
-    for seed in range(6):
+    for seed in range(4):
         blocks = drawn(NOISE, BLOCK_S, 3000, np.random.default_rng((9, seed)), OCTAVES)
         degc = 20 + 5 * np.sin(np.arange(3000) / 300)
         warm = blocks._replace(mean=blocks.mean + per_degc * degc, temperature=degc)
