@@ -42,6 +42,8 @@ _FEWEST_TIMES = 4.0
 _LIMIT_TIMES = 20.0
 """The same for a limit on B."""
 _STARTS = 4
+_ROUGH = {"xatol": 0.1, "maxiter": 9}
+"""Of the best K at the limit of B, which itself is good to a tenth."""
 
 
 @dataclass(frozen=True)
@@ -151,19 +153,19 @@ class _Search:
         )
         return float(found.fun), np.array([found.x])
 
-    def _polished(self, names: str, start: Array) -> tuple[float, Array]:
+    def _polished(self, names: str, start: Array, calls: int = 500) -> tuple[float, Array]:
         count = len(start)
         simplex = np.vstack([start, start + 0.4 * np.eye(count)])
         found: Any = optimize.minimize(
             self._deviance(names),
             start,
             method="Nelder-Mead",
-            options={"initial_simplex": simplex, "xatol": 2e-3, "fatol": 2e-3, "maxfev": 500},
+            options={"initial_simplex": simplex, "xatol": 2e-3, "fatol": 2e-3, "maxfev": calls},
         )
         return float(found.fun), np.asarray(found.x, dtype=float)
 
-    def _with_instability(self, walk: float) -> tuple[float, Array]:
-        """The best of all three, begun at several T_b."""
+    def _with_instability(self, walk: float) -> Array:
+        """All three, roughly, begun at several T_b."""
         times_s = np.geomspace(*self._times_s, _STARTS + 2)[1:-1]
         starts = []
         for time_s in times_s:
@@ -173,11 +175,9 @@ class _Search:
                 starts.append(np.array([instability, math.log(time_s), walk + less]))
         deviance = self._deviance("BK")
         starts.sort(key=deviance)
-        first, second = (
-            starts[0],
-            next((each for each in starts if each[1] != starts[0][1]), starts[-1]),
-        )
-        return min((self._polished("BK", each) for each in (first, second)), key=lambda f: f[0])
+        others = [each for each in starts if each[1] != starts[0][1]]
+        best = (self._polished("BK", each, 60) for each in (starts[0], others[0]))
+        return min(best, key=lambda found: found[0])[1]
 
     def _choose_octaves(self, noise: Noise) -> None:
         """Use octaves within blocks, from the longest, as long as they are white noise."""
@@ -197,11 +197,11 @@ class _Search:
     # What comes of it -----------------------------------------------------------------------------
     def result(self) -> Fit:
         """Search, decide what is seen, and reckon how well."""
-        for octaves_known in (False, True):
-            alone, walk = self._walk_alone()
-            whole, x = self._with_instability(float(walk[0]))
-            if not octaves_known:
-                self._choose_octaves(self._of("BK", x))
+        _, walk = self._walk_alone()
+        x = self._with_instability(float(walk[0]))
+        self._choose_octaves(self._of("BK", x))
+        alone, walk = self._walk_alone()
+        whole, x = self._polished("BK", x)
         without_walk, unstable = self._polished("B", x[:2])
         white = self._deviance("")(np.zeros(0))
         whole = min(whole, without_walk, alone)
@@ -272,7 +272,7 @@ class _Search:
             shortest = self._times_s[0] * 2
             longest = max(self._duration_s / _LIMIT_TIMES, 2 * shortest)
             model, found = self._of(names, best), []
-            for each in np.geomspace(shortest, longest, 5).tolist():
+            for each in np.geomspace(shortest, longest, 4).tolist():
                 # A flat part half as high as what is there is a guess that is never far off.
                 start = math.log(math.sqrt(float(model.allan_variance(1.89 * each))) / 1.3)
                 deviance = self._at_instability(each, names, best)
@@ -291,7 +291,7 @@ class _Search:
             low, high = high, high + 1.0
             if high > 20.0:
                 return math.inf
-        while high - low > 0.03:
+        while high - low > 0.1:
             middle = (low + high) / 2
             low, high = (middle, high) if deviance(middle) - lowest < LIMIT else (low, middle)
         return math.exp(high)
@@ -322,7 +322,7 @@ class _Search:
                 return over(self._walks[0])
             walk = float(best[-1])
             found = optimize.minimize_scalar(
-                over, bounds=(walk - 4.0, walk + 0.5), method="bounded", options={"xatol": 0.05}
+                over, bounds=(walk - 4.0, walk + 0.5), method="bounded", options=_ROUGH
             )
             return min(float(found.fun), over(self._walks[0]))
 

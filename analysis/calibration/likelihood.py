@@ -22,7 +22,9 @@ from tramstream.machine.kernels import compiled
 
 Array = NDArray[np.float64]
 
-_NEARLY_STEADY = 0.01
+STEADY = 1e-11
+"""Change of the covariance in a block, as a part of it, from which the gains stay as they are."""
+_SLOW = 0.01
 """Block over T_b below which series are used: the closed forms lose their digits there."""
 
 
@@ -51,7 +53,7 @@ def step_of(noise: Noise, block_s: float) -> Step:
     past = block_s / noise.time_s
     keep = math.exp(-past)
     share = -math.expm1(-past) / past
-    if past < _NEARLY_STEADY:
+    if past < _SLOW:
         spread = past * (2 / 3 - past * (1 / 2 - past * 7 / 30))
     else:
         spread = 2 * (past + math.expm1(-past)) / past**2 - share**2
@@ -91,31 +93,38 @@ def innovations(readings: Array, temperature: Array, restarts: NDArray[np.bool_]
     count = 0
     k_y, b_y, k_t, b_t = 0.0, 0.0, 0.0, 0.0
     p_kk, p_kb, p_bb = 0.0, 0.0, 0.0
-    h = s.share
+    variance, gain_k, gain_b, height = 1.0, 0.0, 0.0, 0.0
+    h, steady = s.share, False
     for i in range(len(readings)):
         if restarts[i]:  # the limit of a level that nothing was known of
             k_y, b_y, k_t, b_t = readings[i], 0.0, temperature[i], 0.0
             p_kk = s.walk - 2 * s.walk_mean + s.mean + h * h * s.steady
             p_kb = -(s.keep * h * s.steady + s.unstable_mean)
             p_bb = s.steady
+            steady = False
             continue
         e_y = readings[i] - k_y - h * b_y
         e_t = temperature[i] - k_t - h * b_t
-        variance = p_kk + 2 * h * p_kb + h * h * p_bb + s.mean
-        gain_k = (p_kk + h * p_kb + s.walk_mean) / variance
-        gain_b = (s.keep * (p_kb + h * p_bb) + s.unstable_mean) / variance
+        if not steady:
+            variance = p_kk + 2 * h * p_kb + h * h * p_bb + s.mean
+            gain_k = (p_kk + h * p_kb + s.walk_mean) / variance
+            gain_b = (s.keep * (p_kb + h * p_bb) + s.unstable_mean) / variance
+            height = math.log(variance)
+            now_kk = p_kk + s.walk - gain_k * gain_k * variance
+            now_kb = s.keep * p_kb - gain_k * gain_b * variance
+            now_bb = s.keep * s.keep * p_bb + s.unstable - gain_b * gain_b * variance
+            change = abs(now_kk - p_kk) + abs(now_kb - p_kb) + abs(now_bb - p_bb)
+            steady = change < STEADY * (p_kk + p_bb)
+            p_kk, p_kb, p_bb = now_kk, now_kb, now_bb
         yy += e_y * e_y / variance
         yt += e_y * e_t / variance
         tt += e_t * e_t / variance
-        log_variance += math.log(variance)
+        log_variance += height
         count += 1
         k_y += gain_k * e_y
         b_y = s.keep * b_y + gain_b * e_y
         k_t += gain_k * e_t
         b_t = s.keep * b_t + gain_b * e_t
-        p_kk += s.walk - gain_k * gain_k * variance
-        p_kb = s.keep * p_kb - gain_k * gain_b * variance
-        p_bb = s.keep * s.keep * p_bb + s.unstable - gain_b * gain_b * variance
     return Sums(yy, yt, tt, log_variance, count)
 
 
