@@ -69,7 +69,7 @@ def allan(
             each.close()
     settings = settings_of(found)
     if page is not None:
-        from tramstream.analysis.calibration.page import compose
+        from tramstream.analysis.report.allan_page import compose
 
         triples = [(name, value, settings.std[name]) for name, value in settings.values.items()]
         write(page, compose(found, triples))
@@ -165,7 +165,7 @@ def _print(found: Found, settings: Settings) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from tramstream.analysis.calibration.page import HEAD, facts, rows, short
+    from tramstream.analysis.report.allan_page import HEAD, facts, rows, short
     from tramstream.shown import shown
 
     console = Console(width=None if sys.stdout.isatty() else 160)

@@ -84,6 +84,10 @@ def reproduce(
         float | None,
         typer.Option("--frame-hz", help="day: frames a second; default 100.", min=10, max=100),
     ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate-hz", help="allan: samples a second; default 2000.", min=1, max=2000),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
@@ -98,5 +102,5 @@ def reproduce(
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
-    options = replace(options, frame_hz=frame_hz)
+    options = replace(options, frame_hz=frame_hz, rate_hz=rate_hz)
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

@@ -26,7 +26,8 @@ def reproduce(options: Options) -> None:
     first = 1 if options.seed is None else options.seed
     duration_s = options.duration_s or (options.hours or study.HOURS) * 3600
     seeds = range(first, first + (options.seeds or study.SEEDS))
-    cases = [Case(seed=seed, duration_s=duration_s) for seed in seeds]
+    rate_hz = options.rate_hz or study.section_of(study.SCENARIO).rate_hz
+    cases = [Case(seed=seed, duration_s=duration_s, rate_hz=rate_hz) for seed in seeds]
     began_s = time.monotonic()
     found: list[Figures] = []
     done = 0
@@ -42,7 +43,8 @@ def reproduce(options: Options) -> None:
     console = Console()
     console.print(table_of(rows))
     console.print(
-        f"{done} records of {duration_s / 3600:g} h, three axes each, in {elapsed_s:.0f} s. "
+        f"{done} records of {duration_s / 3600:g} h at {rate_hz:g} Hz, three axes each, in "
+        f"{elapsed_s:.0f} s. "
         "bound: Whittle's, all four\ncoefficients unknown; RMS and bias: of the joint fit; seen: "
         "share of axes in which the\nrecord shows it; in 95 %: share of those whose interval holds "
         "the truth; tangent: RMS of\nthe work's readings off the curve, and share of axes that "
@@ -97,6 +99,7 @@ def _plain(
     return {
         "work": NAME,
         "duration_s": case.duration_s,
+        "rate_hz": case.rate_hz,
         "records": done,
         "overall": [clean(each._asdict()) for each in rows],
         "axes": [

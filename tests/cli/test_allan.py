@@ -231,7 +231,7 @@ def test_dead_axis_has_no_figures_and_the_others_have(tmp_path: Path) -> None:
     path = tmp_path / "dead.mcap"
     counts = white(COUNT, STD)
     counts[:, 1] = 7
-    counts[:, 4] = np.maximum(counts[:, 4] - 32720, -32768)
+    counts[:, 4] = np.maximum(counts[:, 4] - 32700, -32768)
     write_record(path, counts, RATE_HZ)
     axes = {each["axis"]: each for each in figures(path)["axes"]}
     assert axes["gyro y"]["trouble"] == "reads 7 counts throughout: dead or stuck"
