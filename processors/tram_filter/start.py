@@ -70,6 +70,6 @@ def set_wheel_constant(ekf: TramFilter, wheel: int, name: str, wheels: Wheels) -
     if known is None:
         return
     slot = Ix.SCALE_A + wheel
-    ekf.x[slot] = wheels.m_per_pulse / known.m_per_pulse - 1.0
+    ekf.x[slot, 0] = wheels.m_per_pulse / known.m_per_pulse - 1.0
     ekf.P[slot, :] = ekf.P[:, slot] = 0.0
     ekf.P[slot, slot] = known.scale_std**2
