@@ -23,6 +23,7 @@ MOST_BLOCKS = 12_000
 """Means that are kept: six hours in blocks of two seconds. Correlation times of bias are far
 longer."""
 FEWEST_BLOCKS = 64
+SHORTEST_S = 0.5
 _SLAB = 1 << 20
 
 
@@ -44,10 +45,17 @@ class Blocks(NamedTuple):
     """Of each octave: how many there are."""
 
 
-def block_size(runs: Sequence[Run]) -> int:
-    """Samples of a block: a power of two, so many that there are at most `MOST_BLOCKS`."""
-    samples = sum(run.end - run.start for run in runs)
-    return 1 << max(0, math.ceil(math.log2(max(samples, 1) / MOST_BLOCKS)))
+def block_size(runs: Sequence[Run], rate_hz: float) -> int:
+    """Samples of a block: a power of two, so many that there are at most `MOST_BLOCKS`.
+
+    Half a second if the record is long enough: what is faster is often not white (an engine, a
+    sensor's own filter), which shows within blocks and is left out there.
+    """
+    samples = max(sum(run.end - run.start for run in runs), 1)
+    least = math.ceil(math.log2(samples / MOST_BLOCKS))
+    wanted = math.floor(math.log2(max(SHORTEST_S * rate_hz, 1.0)))
+    room = math.floor(math.log2(max(samples / (2 * FEWEST_BLOCKS), 1.0)))
+    return 1 << max(least, min(wanted, room), 0)
 
 
 def blocks_of(
@@ -63,7 +71,7 @@ def blocks_of(
     temperature : tuple of ndarray
         Sample numbers, ascending, and the temperature there, °C; both may be empty.
     """
-    size = block_size(runs)
+    size = block_size(runs, rate_hz)
     levels = int(math.log2(size))
     squares, details = np.zeros(levels), np.zeros(levels, np.int64)
     means, centres, restarts = [], [], []

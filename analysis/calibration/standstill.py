@@ -26,8 +26,9 @@ Flags = NDArray[np.bool_]
 
 QUIETEST = 5.0
 """Percentile of windows whose scatter is taken for that of standstill."""
-LOUDER = 4.0
-"""A variance so many times that is motion, or an engine."""
+LOUDER = 10.0
+"""A variance so many times that is motion; an engine's idling differs by 8 from stop to stop (rtkx,
+docs/calibration.md)."""
 JUMP = 30.0
 """A mean that differs so much from its neighbour's, in deviations by white noise, is motion; the
 bias of a poor gyroscope walks by one."""

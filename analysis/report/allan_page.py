@@ -56,7 +56,7 @@ def rows(axis: AxisNoise) -> list[tuple[str, str, str, str, str, str, str]]:
                 f"{100 * axis.fit.std[name]:.2g}",
             )
         elif name in axis.fit.limit:
-            where = f", at T_b {axis.fit.limit_time_s:.0f} s" if name == "B" else ""
+            where = f", at T_b {axis.fit.limit_time_s:.3g} s" if name == "B" else ""
             cells = (f"not seen, at most {short(axis.fit.limit[name])}{where}", "", "")
         else:
             cells = ("not seen", "", "")

@@ -151,10 +151,10 @@ def test_blocks_keep_all_squares_of_the_samples() -> None:
     rng = np.random.default_rng(5)
     counts = np.rint(300 * rng.standard_normal(200_000)).astype(np.int16)
     runs = [Run(10, 150_010), Run(150_100, 199_000)]
-    size = block_size(runs)
+    size = block_size(runs, 50.0)
     none: Array = np.zeros(0)
     blocks = blocks_of(counts, runs, 50.0, (none, none))
-    assert size == 32
+    assert size == 32  # 12,000 blocks at most
     assert np.count_nonzero(blocks.restarts) == 2
     for run, first in zip(runs, np.flatnonzero(blocks.restarts).tolist(), strict=True):
         part = counts[run.start : run.start + size].astype(float)
@@ -171,7 +171,7 @@ def test_temperature_of_a_block_is_what_was_read_in_it() -> None:
     counts = np.zeros(20_000 * 64, np.int16)
     number = np.arange(19, len(counts), 20).astype(float)
     blocks = blocks_of(counts, [Run(0, len(counts))], 100.0, (number, 20 + number / len(counts)))
-    size = block_size([Run(0, len(counts))])
+    size = block_size([Run(0, len(counts))], 100.0)
     centre = np.arange(len(blocks.mean)) * size + size / 2
     np.testing.assert_allclose(blocks.temperature, 20 + centre / len(counts), atol=1e-4)
 
@@ -184,3 +184,10 @@ def test_deviance_does_not_hang_on_the_unit() -> None:
     other = likelihood(larger, noise, OCTAVES)
     assert other.white == pytest.approx(1e3 * one.white)
     assert other.deviance - one.deviance == pytest.approx(2 * one.count * math.log(1e3), rel=1e-9)
+
+
+def test_blocks_are_half_a_second_long_where_there_are_enough_of_them() -> None:
+    assert block_size([Run(0, 7000)], 20.0) == 8
+    assert block_size([Run(0, 2000)], 100.0) == 8  # 250 blocks
+    assert block_size([Run(0, 100)], 100.0) == 1
+    assert block_size([Run(0, 43_200_000)], 2000.0) == 4096
