@@ -107,7 +107,13 @@ class WheelPair:
         for slot, name in enumerate(chosen[:2]):
             self._wheels[name] = Wheel(slot)
             ekf.set_wheel(slot, lateral[sides[name]])
-            set_wheel_constant(ekf, slot, name, self._config)
+
+        self.set_constants(ekf)
+
+    def set_constants(self, ekf: TramFilter) -> None:
+        """Begin with what the configuration says of single wheels."""
+        for name, wheel in self._wheels.items():
+            set_wheel_constant(ekf, wheel.slot, name, self._config)
 
     @property
     def known(self) -> bool:
