@@ -12,7 +12,7 @@ from tramstream.cli.figures.options import Options
 
 WORKS = (
     *("konecny2004", "kaspar2023", "chladek2023"),
-    *("drives", "matching", "receivers", "worlds", "day"),
+    *("drives", "matching", "receivers", "worlds", "day", "allan"),
 )
 
 
@@ -25,7 +25,8 @@ def reproduce(
         int | None,
         typer.Option(
             help="Rides of each kind (kaspar2023, default 5), line (matching, default 10), world "
-            "(worlds, default 1) or profile's average (chladek2023, default 300 and 60).",
+            "(worlds, default 1) or profile's average (chladek2023, default 300 and 60); records "
+            "(allan, default 20).",
             min=1,
         ),
     ] = None,
@@ -43,9 +44,9 @@ def reproduce(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m; "
-            "default all. matching: plain (the default), slow or gyro. day: no map, map; "
-            "default both. May be given several times.",
+            help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m, "
+            "allan (sensors at rest); default all. matching: plain (the default), slow or gyro. "
+            "day: no map, map; default both. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[
@@ -80,17 +81,21 @@ def reproduce(
     ] = None,
     hours: Annotated[
         float | None,
-        typer.Option(help="day: of which length; default 8.", min=0.1, max=24.0),
+        typer.Option(help="day, allan: of which length; default 8, 6.", min=0.1, max=24.0),
     ] = None,
     frame_hz: Annotated[
         float | None,
         typer.Option("--frame-hz", help="day: frames a second; default 100.", min=10, max=100),
     ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate-hz", help="allan: samples a second; default 2000.", min=1, max=2000),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
-    matcher, of captured receivers, or of the localisation in many worlds or on a day of eight
-    hours."""
+    matcher, of captured receivers, of the localisation in many worlds or on a day of eight
+    hours, or of noise estimated from simulated standstill."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
@@ -100,5 +105,5 @@ def reproduce(
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
-    options = replace(options, frame_hz=frame_hz)
+    options = replace(options, frame_hz=frame_hz, rate_hz=rate_hz)
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

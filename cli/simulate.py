@@ -33,9 +33,10 @@ def simulate(
     """Simulate a ride along a line and write what the sensors would have said, and the truth.
 
     Built-in scenarios: city, tram and tram_articulated (a body on bogies and springs, worn rails),
-    matching, and one for each published work: kaspar2023, melenovsky2023,
-    chladek2023, pusman2017, konecny2004. `tramstream reprocess` makes estimates from the record,
-    `tramstream evaluate` holds them to the truth. The same seed gives the same record.
+    matching, still (an IMU in a depot, six hours), and one for each published work: kaspar2023,
+    melenovsky2023, chladek2023, pusman2017, konecny2004. `tramstream reprocess` makes estimates
+    from the record, `tramstream evaluate` holds them to the truth. The same seed gives the same
+    record.
     """
     import json
     import time

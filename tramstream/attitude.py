@@ -10,6 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tramstream import mounting
+from tramstream.config import Imu
+
 Array = NDArray[np.float64]
 
 
@@ -43,6 +46,18 @@ def C_vl(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array
     ]
     matrix: Array = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
     return matrix
+
+
+def C_bv_of(imu: Imu | None) -> Array:
+    """Turn of components in `v` into those in the case, as configured; as it is without an IMU.
+
+    Returns
+    -------
+    C_bv : ndarray, shape (3, 3)
+    """
+    if imu is not None and imu.mounting_q_bv is not None:
+        return np.array(mounting.matrix_of(mounting.unit(imu.mounting_q_bv)))
+    return C_vl(*np.radians(imu.mounting_deg if imu is not None else (0.0, 0.0, 0.0)))
 
 
 def body_rates(

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from tramstream import keys
+from tramstream import keys, mounting
+from tramstream.calibrated import Calibrated
 
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold
@@ -23,6 +24,9 @@ NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+Three = Annotated[tuple[NotNegative, ...], Meta(min_length=3, max_length=3)]
+"""As `Vector`, where it stands beside a number: msgspec 0.22 reads no fixed tuple there."""
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -80,8 +84,11 @@ class Imu(Struct, frozen=True, kw_only=True):
     mounting_deg: Vector = (0.0, 0.0, 0.0)
     """How the case is turned, Ψ = roll, pitch, yaw: C_bv takes vehicle components into the
     sensor's axes (docs/theory.md, section 1.2)."""
-    mounting_std_deg: NotNegative = 1.0
-    """How well `mounting_deg` is known on each axis; the filter estimates the rest."""
+    mounting_q_bv: Quaternion | None = None
+    """Instead of `mounting_deg`, the same turn as a quaternion, w x y z: C_bv without loss."""
+    mounting_std_deg: NotNegative | Three = 1.0
+    """How well the mounting is known: about each axis of the vehicle, x y z, or one number for all;
+    the filter estimates the rest."""
     delay_std_s: NotNegative = 0.002
     """How well the stamps are known; a delay found between fixes and IMU is shared out by this and
     `gnss.delay_std_s`."""
@@ -104,6 +111,10 @@ class Imu(Struct, frozen=True, kw_only=True):
     """Bias of the gyroscopes when switched on; 0.3 °/s in docs/theory.md, section 3.9."""
     accel_bias_std_mps2: Positive = 0.15
     """Bias of the accelerometers when switched on; 0.1 m/s² in docs/theory.md, section 3.9."""
+
+    def __post_init__(self) -> None:
+        if self.mounting_deg != (0.0, 0.0, 0.0):
+            mounting.check(self.mounting_deg, self.mounting_q_bv)
 
 
 class Signal(Struct, frozen=True, kw_only=True):
@@ -156,6 +167,13 @@ class Odometer(Struct, frozen=True, kw_only=True):
     """Without a frame for so long, the interface is looked at and opened again."""
 
 
+class WheelConstant(Struct, frozen=True, kw_only=True):
+    """What one wheel's readings mean, where it is known better than for all."""
+
+    m_per_pulse: Positive
+    scale_std: Positive
+
+
 class Wheels(Struct, frozen=True, kw_only=True):
     """What the wheels' readings mean."""
 
@@ -170,6 +188,8 @@ class Wheels(Struct, frozen=True, kw_only=True):
     scale_std: Positive = 0.03
     """How well `m_per_pulse`, or a wheel's speed, is known, as a part of it: a worn tyre is 4 to
     5 % smaller than a new one (docs/theory.md, section 3.5). The filter learns it."""
+    each: dict[str, WheelConstant] = {}
+    """Constants of single wheels, by their names: what is stated here goes before the two above."""
     delay_s: Number = 0.0
     """Time from the instant that a reading describes until its arrival."""
     delay_std_s: NotNegative = 0.003
@@ -337,6 +357,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     sections: dict[str, dict[str, Any]] = {}
     """Settings of processors and bridges of other packages, by name. In the file each is a section
     of that name; the loader checks it against the `Settings` of its class."""
+    calibrated: Calibrated | None = None
+    """Which settings come from a calibration; `calibration = "FILE"` writes it."""
 
     @property
     def running(self) -> tuple[str, ...]:

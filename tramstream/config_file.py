@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from tramstream import plugins, toml_text
+from tramstream import calibration_file, mounting, plugins, toml_text
 from tramstream.config import MATCHER, Bus, Recorder, Vehicle
 from tramstream.errors import ConfigError
 from tramstream.input_file import TEXT_LIMIT_BYTES, read_limited
@@ -42,16 +42,37 @@ def load(path: Path) -> Vehicle:
 
 def parse(data: bytes, name: str, folder: Path) -> Vehicle:
     """Decode configuration text; see `load`."""
-    raw = read_toml(data, name)
+    raw = calibration_file.merge(read_toml(data, name), name, folder)
     sections = {section: raw.pop(section) for section in _strangers() if section in raw}
     if SECTIONS in raw:
         raise ConfigError(
             f"{name}: $.{SECTIONS}: unknown field",
             cure="settings of a processor of another package stand in a section of its name",
         )
-    vehicle = _resolve(convert(raw, Vehicle, name), folder)
+    vehicle = _resolve(_one_mounting(convert(raw, Vehicle, name), raw, name), folder)
     _check_names(vehicle, name)
     return msgspec.structs.replace(vehicle, sections=_checked(vehicle, sections, name))
+
+
+def _one_mounting(vehicle: Vehicle, raw: dict[str, Any], name: str) -> Vehicle:
+    """Give a mounting that is stated as a quaternion its angles too, for whoever reads those.
+
+    Raises
+    ------
+    ConfigError
+        If both are stated, and are different turns.
+    """
+    imu = vehicle.imu
+    if imu is None or imu.mounting_q_bv is None:
+        return vehicle
+    try:
+        whole = mounting.unit(imu.mounting_q_bv)
+        if "mounting_deg" in raw["imu"]:
+            mounting.check(imu.mounting_deg, whole)
+    except ValueError as error:
+        raise ConfigError(f"{name}: $.imu.mounting_q_bv: {error}") from error
+    both = msgspec.structs.replace(imu, mounting_deg=mounting.angles_of(whole), mounting_q_bv=whole)
+    return msgspec.structs.replace(vehicle, imu=both)
 
 
 SECTIONS = "sections"
@@ -166,13 +187,31 @@ def to_json(vehicle: Vehicle) -> str:
 
 
 def to_toml(vehicle: Vehicle) -> str:
-    """A configuration as the text of a file that gives it again, every setting written out."""
-    return toml_text.document(_plain(vehicle))
+    """A configuration as the text of a file that gives it again, every setting written out.
+
+    Settings that a calibration gave say so beside them.
+    """
+    return toml_text.document(_plain(vehicle), remarks=remarks(vehicle))
+
+
+def remarks(vehicle: Vehicle) -> dict[str, str]:
+    """What is to be said beside settings, by `section.field`: where calibrated ones come from."""
+    known = vehicle.calibrated
+    if known is None:
+        return {}
+    made = f"{known.tool or 'calibration'} {known.made}".strip()
+    found = {}
+    for field in known.fields:
+        std = known.std.get(field)
+        spread = f", σ {toml_text.value_text(std)}" if std is not None else ""
+        found[field] = f"{known.file}: {made}{spread}"
+    return found
 
 
 def differences(old: Vehicle, new: Vehicle) -> list[str]:
     """Each setting of `new` that is another in `old`, a record's: its path and both values."""
-    return _differences(_plain(old), _plain(new), "$")
+    without = {"calibrated": None}
+    return _differences(_plain(old) | without, _plain(new) | without, "$")
 
 
 def _plain(vehicle: Vehicle) -> dict[str, Any]:
@@ -203,8 +242,8 @@ def _shown(value: Any) -> str:
 def digest(vehicle: Vehicle) -> str:
     """Short name of what processors are made of: equal where their memory fits.
 
-    Where the vehicle's bus, records, devices and files are, and which processor has a process of
-    its own, does not count.
+    Where the vehicle's bus, records, devices and files are, where calibrated values come from, and
+    which processor has a process of its own, does not count.
     """
     plain = msgspec.structs.replace
     changes: dict[str, Any] = {
@@ -212,6 +251,7 @@ def digest(vehicle: Vehicle) -> str:
         "recorder": Recorder(),
         "simulators": {},
         "separate": (),
+        "calibrated": None,
     }
     if vehicle.gnss is not None:
         changes["gnss"] = plain(vehicle.gnss, device="")

@@ -8,10 +8,14 @@ from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
+from tramstream.shown import shown
+
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def document(values: Mapping[str, Any], path: str = "") -> str:
+def document(
+    values: Mapping[str, Any], path: str = "", remarks: Mapping[str, str] | None = None
+) -> str:
     """A whole document; what is None is left out, for TOML has no word for it.
 
     Parameters
@@ -20,23 +24,31 @@ def document(values: Mapping[str, Any], path: str = "") -> str:
         Of strings, numbers, truth values, lists of these, and mappings likewise: a table each.
     path : str
         Of the table that `values` is.
+    remarks : mapping, optional
+        Comments beside values, by their whole name: `imu.rate_hz`.
     """
-    return "\n".join(_lines(values, path)) + "\n"
+    return "\n".join(_lines(values, path, remarks or {})) + "\n"
 
 
-def _lines(values: Mapping[str, Any], path: str) -> Iterator[str]:
+def _lines(values: Mapping[str, Any], path: str, remarks: Mapping[str, str]) -> Iterator[str]:
+    def beside(name: str) -> str:
+        # What a remark quotes may hold what ends a comment.
+        remark = shown(remarks.get(name, ""))
+        return f"  # {remark}" if remark else ""
+
     tables = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
             tables[name] = value
         elif value is not None:
-            yield f"{key_text(name)} = {value_text(value)}"
+            whole = f"{path}.{name}" if path else name
+            yield f"{key_text(name)} = {value_text(value)}{beside(whole)}"
     for name, table in tables.items():
         inner = f"{path}.{key_text(name)}" if path else key_text(name)
         if not table or not all(isinstance(each, Mapping) for each in table.values()):
             yield ""
-            yield f"[{inner}]"
-        yield from _lines(table, inner)
+            yield f"[{inner}]{beside(inner) or beside(path)}"
+        yield from _lines(table, inner, remarks)
 
 
 def key_text(name: str) -> str:

@@ -23,3 +23,4 @@ class Options:
     worlds: tuple[str, ...] = ()
     hours: float | None = None
     frame_hz: float | None = None
+    rate_hz: float | None = None

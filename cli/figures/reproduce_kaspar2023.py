@@ -13,10 +13,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from tramstream.analysis.studies import allan
 from tramstream.analysis.studies import kaspar2023 as study
 from tramstream.analysis.studies.bound import Bound
 from tramstream.analysis.studies.kaspar2023 import PUBLISHED, Case, Figures, Overall
 from tramstream.cli.figures.options import Options
+from tramstream.cli.figures.reproduce_allan import table_of
 from tramstream.cli.terminal import pool
 from tramstream.cli.terminal.pool import Job
 from tramstream.cli.terminal.session import say
@@ -26,6 +28,8 @@ from tramstream.processors.tram.localiser import TramLocaliser
 
 NAME = study.WORK
 SEEDS = 5
+ALLAN = "allan"
+"""Beside the kinds of rides: its sensors at rest, and what an Allan analysis finds of them."""
 
 
 def reproduce(options: Options) -> None:
@@ -33,25 +37,30 @@ def reproduce(options: Options) -> None:
     first = 1 if options.seed is None else options.seed
     seeds = range(first, first + (options.seeds or SEEDS))
     lines = options.lines or (study.BUILT_IN,)
-    kinds = options.kinds or study.KINDS
-    if unknown := set(kinds) - set(study.KINDS):
-        raise ConfigError(
-            f"no rides are called {min(unknown)!r}; there are: {', '.join(study.KINDS)}"
-        )
+    known = (*study.KINDS, ALLAN)
+    kinds = options.kinds or known
+    if unknown := set(kinds) - set(known):
+        raise ConfigError(f"no rides are called {min(unknown)!r}; there are: {', '.join(known)}")
     for line in lines:
         study.line_of(line)  # a line that cannot be used is told before the work begins
     cases = [
         Case(line, kind, seed, options.duration_s)
         for line in lines
         for kind in kinds
+        if kind != ALLAN
         for seed in seeds
     ]
+    still = [allan.Case(NAME, seed) for seed in seeds if ALLAN in kinds]
+    axes: list[allan.Figures] = []
     began_s = time.monotonic()
     rides: dict[Case, list[Figures]] = {}
     bounds: dict[str, Bound] = {}
-    for job, result in pool.results(_jobs(cases)):
+    for job, result in pool.results(_jobs(cases) + [Job(allan.study, (each,)) for each in still]):
         (case, *_) = job.arguments
-        if isinstance(result, Bound):
+        if job.function is allan.study:
+            axes += result
+            say(f"noise of the sensors at rest, seed {case.seed}")
+        elif isinstance(result, Bound):
             bounds[_kind(case)] = result
         else:
             rides[case] = result
@@ -61,13 +70,38 @@ def reproduce(options: Options) -> None:
     figures = [each for case in cases for each in rides.get(case, ())]
     elapsed_s = time.monotonic() - began_s
     if options.json:
-        print(json.dumps(_plain(figures, bounds, len(cases) - len(rides), elapsed_s)))
+        plain = _plain(figures, bounds, len(cases) - len(rides), elapsed_s)
+        plain |= {ALLAN: [_clean(row._asdict()) for row in _rows(axes, still)]}
+        print(json.dumps(plain))
         return
     console = Console()
     for kind in dict.fromkeys(_kind(each) for each in figures):
         of_kind = [each for each in figures if _kind(each) == kind]
         _print(console, kind, of_kind, bounds.get(kind))
-    _explain(console, len(rides), elapsed_s)
+    if cases:
+        _explain(console, len(rides), elapsed_s)
+    if axes:
+        _print_noise(console, _rows(axes, still))
+
+
+def _rows(axes: list[allan.Figures], still: list[allan.Case]) -> list[allan.Row]:
+    return allan.overall(axes, still[0]) if axes else []
+
+
+def _print_noise(console: Console, rows: list[allan.Row]) -> None:
+    """The Allan part: what the joint fit and the work's tangents make of the same curves."""
+    table = table_of(rows)
+    table.title = f"{NAME}: sensors at rest, {allan.HOURS:g} h at 100 Hz"
+    console.print(table)
+    milli = {(each.sensor, each.name): f"{1e3 * each.truth:.4g}" for each in rows}
+    accel, gyro = ([milli[sensor, name] for name in "NBK"] for sensor in ("accel", "gyro"))
+    console.print(
+        f"N, B, K in mm/s²: {', '.join(accel)}; in mrad/s: {', '.join(gyro)}. Section 3.2.1 of the "
+        "work prints\nsuch figures of the F9R's sensors with m and rad: a thousandfold too large. "
+        "bound: Whittle's;\ntangent: RMS of the work's readings off the curve, and share of axes "
+        "that have one.",
+        soft_wrap=True,
+    )
 
 
 def _jobs(cases: Sequence[Case]) -> list[Job]:
@@ -97,27 +131,28 @@ def _plain(
     filtered = {_kind(each): each for each in totals if each.model == TramLocaliser.name}
 
     def overall(total: Overall) -> dict[str, Any]:
-        plain, least = clean(asdict(total)), bounds.get(_kind(total))
+        plain, least = _clean(asdict(total)), bounds.get(_kind(total))
         if total.model == study.SMOOTHED:
-            plain["over_filter"] = clean(study.over_filter(total, filtered[_kind(total)]))
+            plain["over_filter"] = _clean(study.over_filter(total, filtered[_kind(total)]))
         elif least:
-            plain["bound"] = clean(asdict(least))
-            plain["over_bound"] = clean(study.over_bound(total, least))
+            plain["bound"] = _clean(asdict(least))
+            plain["over_bound"] = _clean(study.over_bound(total, least))
         return plain
-
-    def clean(values: dict[str, Any]) -> dict[str, Any]:
-        return {
-            name: None if isinstance(value, float) and not isfinite(value) else value
-            for name, value in values.items()
-        }
 
     return {
         "work": NAME,
         "published": PUBLISHED,
         "overall": [overall(each) for each in totals],
-        "rides": [clean(ride(each)) for each in figures],
+        "rides": [_clean(ride(each)) for each in figures],
         "missing_rides": missing,
         "elapsed_s": elapsed_s,
+    }
+
+
+def _clean(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not isfinite(value) else value
+        for name, value in values.items()
     }
 
 

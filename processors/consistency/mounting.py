@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tramstream.attitude import C_vl
+from tramstream.attitude import C_bv_of, C_vl
 from tramstream.config import Imu
 from tramstream.estimation.kalman import Array
+from tramstream.mounting import about_axes
 from tramstream.processors.consistency.way import Course
 
 GRAVITY_MPS2 = 9.81
@@ -110,8 +111,9 @@ class Mounting:
 
     def __init__(self, imu: Imu, memory: MountingMemory) -> None:
         self.memory = memory
-        self._C_bv: Array = C_vl(*np.radians(imu.mounting_deg))
-        self._std_deg = imu.mounting_std_deg
+        self._C_bv: Array = C_bv_of(imu)
+        roll, pitch, yaw = about_axes(imu.mounting_std_deg)
+        self._tilt_std_deg, self._turn_std_deg = max(roll, pitch), yaw
         self._level: Array = np.eye(3)
         self._vertical = (0.0, 0.0, 1.0)
         self.restored()
@@ -176,11 +178,11 @@ class Mounting:
 
     @property
     def tilt_limit_deg(self) -> float:
-        return max(TILT_LIMIT_DEG, STDS * self._std_deg)
+        return max(TILT_LIMIT_DEG, STDS * self._tilt_std_deg)
 
     @property
     def turn_limit_deg(self) -> float:
-        return max(TURN_LIMIT_DEG, STDS * self._std_deg)
+        return max(TURN_LIMIT_DEG, STDS * self._turn_std_deg)
 
     # Driving -------------------------------------------------------------------------------------
     def drive(self, path: Course) -> None:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tramstream.attitude import C_vl
+from tramstream.attitude import C_bv_of
 from tramstream.clock import S
 from tramstream.config import Vehicle, takes_track
 from tramstream.errors import ConfigError
@@ -125,7 +125,7 @@ class Kaspar2023Localiser:
             raise ConfigError(
                 "$.imu: the model kaspar2023 needs an IMU", cure="$.ekf.model may be tram"
             )
-        C_vb = C_vl(*np.radians(imu.mounting_deg)).T
+        C_vb = C_bv_of(imu).T
         self._axes = np.zeros((4, 6))  # of accelerometer and gyroscopes, case axes, to (f_x, ω_v)
         self._axes[0, :3], self._axes[1:, 3:] = C_vb[0], C_vb
         densities = [imu.accel_noise_mps2_rthz**2] + 3 * [imu.gyro_noise_radps_rthz**2]

@@ -226,11 +226,14 @@ class Search:
     def abandon(self, navigation: Navigation) -> None:
         """Set the filter back to the departure: what it knows of the sensors stays."""
         wheels, stamp_ns = copied(navigation.wheels.memory), self.memory.last_ns
+        began_without = not self.memory.anchor.wheels.wheels
         offsets_m = navigation.ekf.wheel_offsets_m()
         navigation.go_back(self.memory.anchor)
         assign(navigation.wheels.memory, wheels)
         for wheel, offset_m in enumerate(offsets_m):  # they may have been assigned since
             navigation.ekf.set_wheel(wheel, offset_m)
+        if began_without:
+            navigation.wheels.set_constants(navigation.ekf)
         navigation.ekf.set_time(stamp_ns)
         navigation.ekf.log_likelihood_sum = None
 

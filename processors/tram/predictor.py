@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tramstream.attitude import C_vl
+from tramstream.attitude import C_bv_of
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
@@ -80,8 +80,7 @@ class Ahead:
     """Keeps the readings that the filter has not seen yet, in the vehicle's axes."""
 
     def __init__(self, vehicle: Vehicle, memory: AheadMemory | None = None) -> None:
-        mounting = vehicle.imu.mounting_deg if vehicle.imu else (0.0, 0.0, 0.0)
-        self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
+        self._C_vb = np.ascontiguousarray(C_bv_of(vehicle.imu).T)
         self.memory = AheadMemory() if memory is None else memory
         self._means = self.memory.means
         self._memory, self._mean = numbers(one(MEMORY)), numbers(one(READING))

@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
-from tramstream.config import Vehicle, map_shift_std_m
+from tramstream.config import Vehicle, Wheels, map_shift_std_m
 from tramstream.estimation.kalman import Array
+from tramstream.mounting import about_axes
+from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.states import Ix
 
 ROLL_STD_RAD = 0.06
@@ -44,7 +46,8 @@ def first_deviations(vehicle: Vehicle) -> Array:
         std[[Ix.ACCEL_X, Ix.ACCEL_Y]] = imu.accel_bias_std_mps2
         if vehicle.ekf.vertical_std_mps2_rthz:
             std[Ix.ACCEL_Z] = imu.accel_bias_std_mps2
-        std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = math.radians(imu.mounting_std_deg)
+        about = about_axes(imu.mounting_std_deg)
+        std[[Ix.MOUNT_ROLL, Ix.MOUNT_PITCH, Ix.MOUNT_YAW]] = [math.radians(each) for each in about]
         std[Ix.GYRO_SCALE] = GYRO_SCALE_STD
     else:
         std[Ix.GYRO_Z] = wheels.yaw_rate_std_radps
@@ -55,3 +58,18 @@ def first_deviations(vehicle: Vehicle) -> Array:
     if vehicle.gnss is not None:
         std[Ix.GNSS_DELAY] = math.hypot(vehicle.gnss.delay_std_s, imu.delay_std_s if imu else 0.0)
     return std
+
+
+def set_wheel_constant(ekf: TramFilter, wheel: int, name: str, wheels: Wheels) -> None:
+    """Begin with what `[wheels.each]` says of a wheel: its own way of a pulse, and how well known.
+
+    Readings are in the way of a pulse that all have; the wheel's own is a scale, which counts
+    1 + scale too much.
+    """
+    known = wheels.each.get(name)
+    if known is None:
+        return
+    slot = Ix.SCALE_A + wheel
+    ekf.x[slot, 0] = wheels.m_per_pulse / known.m_per_pulse - 1.0
+    ekf.P[slot, :] = ekf.P[:, slot] = 0.0
+    ekf.P[slot, slot] = known.scale_std**2

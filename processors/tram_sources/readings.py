@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tramstream import keys
-from tramstream.attitude import C_vl
+from tramstream.attitude import C_bv_of
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.kalman import Array
@@ -90,8 +90,7 @@ class Readings:
         self.memory = ReadingsMemory(self.numbers)
         self._now, self._straight = self.inertial["now"], self.inertial["straight"].data
         imu = vehicle.imu
-        mounting = imu.mounting_deg if imu else (0.0, 0.0, 0.0)
-        self._C_vb = np.ascontiguousarray(C_vl(*np.radians(mounting)).T)
+        self._C_vb = np.ascontiguousarray(C_bv_of(imu).T)
         self._noise = MotionNoise(vehicle, self.memory.noise)
         self.has_imu = imu is not None
         """Whether one is configured."""

@@ -19,6 +19,7 @@ from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
 from tramstream.processors.tram_filter.events import WHEEL_REFUSED, WHEEL_SPEED_REFUSED
 from tramstream.processors.tram_filter.filter import SPEED, TramFilter
+from tramstream.processors.tram_filter.start import set_wheel_constant
 from tramstream.processors.tram_model.measurement import SCALAR_GATE
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
@@ -69,7 +70,7 @@ class WheelPair:
     """The one or two wheels that the filter has states for."""
 
     def __init__(self, vehicle: Vehicle, memory: PairMemory | None = None) -> None:
-        config = vehicle.wheels
+        self._config = config = vehicle.wheels
         self._track_m = config.track_m
         self._m_per_pulse = config.m_per_pulse
         self._pulse_variance = config.m_per_pulse**2 * QUANTISATION
@@ -106,6 +107,13 @@ class WheelPair:
         for slot, name in enumerate(chosen[:2]):
             self._wheels[name] = Wheel(slot)
             ekf.set_wheel(slot, lateral[sides[name]])
+
+        self.set_constants(ekf)
+
+    def set_constants(self, ekf: TramFilter) -> None:
+        """Begin with what the configuration says of single wheels."""
+        for name, wheel in self._wheels.items():
+            set_wheel_constant(ekf, wheel.slot, name, self._config)
 
     @property
     def known(self) -> bool:

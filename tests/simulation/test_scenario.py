@@ -14,12 +14,13 @@ from tramstream.lines.line import built_in_line
 from tramstream.simulation import scenario
 from tramstream.simulation.ride import Ride
 from tramstream.simulation.scenario import GnssJump, Slide, Tunnel, load, names, parse, stated_std_m
+from tramstream.simulation.simulation import Simulation
 
 
 def test_every_work_has_its_scenario_and_city_matching_and_trams_are_ours() -> None:
     assert names() == [
         "chladek2023", "city", "kaspar2023", "konecny2004", "matching", "melenovsky2023",
-        "pusman2017", "tram", "tram_articulated",
+        "pusman2017", "still", "tram", "tram_articulated",
     ]  # fmt: skip
 
 
@@ -206,3 +207,27 @@ def test_delay_of_years_is_refused_with_its_range(field: str) -> None:
     text = f"[wheels.timing]\n{field} = 1e9\n"
     with pytest.raises(ConfigError, match=rf"{field}: .* out of range; it must be .*<= 100000"):
         parse(text.encode(), "s")
+
+
+def test_still_stands_for_six_hours_with_the_reference_sensors_and_nothing_else() -> None:
+    chosen, reference = load("still"), load("kaspar2023")
+    assert chosen.imu is not None
+    assert reference.imu is not None
+    assert (chosen.gnss, chosen.wheels, chosen.imu.rate_hz) == (None, None, 2000.0)
+    own, theirs = chosen.imu.errors, reference.imu.errors
+    for field in ("noise_radps_rthz", "instability_radps", "walk_radps2_rthz"):
+        assert getattr(own, f"gyro_{field}") == getattr(theirs, f"gyro_{field}")
+    for field in ("noise_mps2_rthz", "instability_mps2", "walk_mps3_rthz"):
+        assert getattr(own, f"accel_{field}") == getattr(theirs, f"accel_{field}")
+    ride = Simulation(built_in_line(), chosen)
+    assert ride.duration_s == 6 * 3600.0
+    assert ride.ride.motion([0.0, 21600.0]).standing.all()
+    assert not ride.ride.motion(30_100.0).standing
+
+
+def test_scenario_ends_when_it_says() -> None:
+    chosen = parse(b"duration_s = 12.0", "short.toml")
+    assert Simulation(built_in_line(), chosen).duration_s == 12.0
+    assert Simulation(built_in_line(), chosen, duration_s=5.0).duration_s == 5.0
+    longer = parse(b"duration_s = 1e6", "long.toml")
+    assert Simulation(built_in_line(), longer).duration_s < 1e5

@@ -30,6 +30,7 @@ from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.series import Slot, wrapped_rad
 from tramstream.lines.line import built_in_line
+from tramstream.mounting import about_axes
 from tramstream.processor import Sample
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.smoothing.trace import (
@@ -83,7 +84,7 @@ def drawn(base: Scenario, vehicle: Vehicle, seed: int) -> Scenario:
     return altered(
         base,
         imu={
-            "misalignment_deg": three(imu.mounting_std_deg),
+            "misalignment_deg": three(max(about_axes(imu.mounting_std_deg))),
             "errors": {
                 "gyro_bias_radps": three(imu.gyro_bias_std_radps),
                 "accel_bias_mps2": three(imu.accel_bias_std_mps2),

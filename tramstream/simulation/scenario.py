@@ -172,6 +172,8 @@ class Scenario(Struct, frozen=True, kw_only=True):
     truth_rate_hz: Positive = 20.0
     end_s: NotNegative = 5.0
     """The sensors go on for so long after standstill at the last stop."""
+    duration_s: Positive | None = None
+    """All ends after so long, wherever the vehicle is by then; None: at the last stop."""
     track: Track = Track()
     body: Body | None = None
     """None: a point that follows the rail, its axes those of the track."""

@@ -67,7 +67,8 @@ class Simulation:
     seed : int
         Of all chance.
     duration_s : float, optional
-        Ends the ride early; by default it lasts until `scenario.end_s` after the last stop.
+        Ends the ride early; by default it lasts until `scenario.end_s` after the last stop, or
+        for `scenario.duration_s`.
 
     Raises
     ------
@@ -83,9 +84,8 @@ class Simulation:
         self.seed = seed
         happenings_rng, driver_rng, roughness_rng = self._generators()[3:]
         self.ride = Ride(self.line, scenario.driver, scenario.reverse, driver_rng)
-        self.duration_s = self.ride.duration_s + scenario.end_s
-        if duration_s is not None:
-            self.duration_s = min(self.duration_s, duration_s)
+        ends = (self.ride.duration_s + scenario.end_s, scenario.duration_s, duration_s)
+        self.duration_s = min(each for each in ends if each is not None)
         level = self.line.level
         self.gravity_mps2 = float(normal_gravity_mps2(level.latitude_rad, level.height_m))
         body = scenario.body

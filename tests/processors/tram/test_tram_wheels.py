@@ -6,14 +6,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rides import Errors, Ride, altered, judged, reference, ridden, run
 
-from tramstream.config import Vehicle, Wheels
+from tramstream.config import Vehicle, WheelConstant, Wheels
 from tramstream.lines.line import built_in_line
 from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.wheel_path import WheelPath
+from tramstream.processors.tram_sources.wheels import WheelPair
+from tramstream.proto.raw_pb2 import Odometry, WheelReading
 from tramstream.simulation.scenario import Slide, Slip
 
 SEEDS = (1, 3)
@@ -87,3 +90,46 @@ def test_path_that_is_counted_anew_holds_what_the_counter_has_not_shown(sign: fl
     assert ekf.P[Ix.PATH_B, Ix.PATH_B] == pytest.approx(1e-6 + (10.0**2 + 0.01**2) * 1e-4)
     (verdict,) = ekf.apply(WheelPath(1, 0.0, 1e-6))
     assert verdict.innovation == pytest.approx(0.0, abs=1e-12)
+
+
+def test_wheel_whose_constant_is_known_begins_with_it() -> None:
+    each = {"right": WheelConstant(m_per_pulse=0.00092, scale_std=0.0002)}
+    vehicle = Vehicle(vehicle="none", wheels=Wheels(m_per_pulse=0.00094, each=each))
+    ekf = TramFilter(vehicle, 9.81)
+    ekf.P = np.diag(np.full(len(Ix), 1e-4)) + 1e-6
+    reading = Odometry(wheels=[WheelReading(wheel=name, pulses=0) for name in ("left", "right")])
+    WheelPair(vehicle).assign(reading, ekf)
+    assert ekf.state[Ix.SCALE_A] == 0.0
+    assert ekf.P[Ix.SCALE_A, Ix.SCALE_A] == pytest.approx(1.01e-4)
+    # Counted in the way of a pulse that all have, this wheel shows 94/92 of its path.
+    assert ekf.state[Ix.SCALE_B] == pytest.approx(0.94 / 0.92 - 1.0)
+    assert ekf.P[Ix.SCALE_B, Ix.SCALE_B] == pytest.approx(0.0002**2)
+    assert np.count_nonzero(ekf.P[Ix.SCALE_B]) == 1
+    assert np.count_nonzero(ekf.P[:, Ix.SCALE_B]) == 1
+
+
+def test_ride_keeps_the_wheels_constants_that_it_was_told() -> None:
+    radius_error_m = (0.006, -0.006)  # 2 % apart, and the filter is sure to a fiftieth of that
+    ride = departing(1, wheels={"axle": {"radius_error_m": radius_error_m}})
+    wheels = ride.simulation.vehicle.wheels
+    radius_m = reference().wheels.axle.radius_m
+    each = {
+        name: WheelConstant(
+            m_per_pulse=wheels.m_per_pulse * (1 + error_m / radius_m), scale_std=0.0004
+        )
+        for name, error_m in zip(("left", "right"), radius_error_m, strict=True)
+    }
+    vehicle = replace(ride.simulation.vehicle, wheels=replace(wheels, each=each))
+    told = TramLocaliser(vehicle)
+    errors = judged(ride.simulation, told, run(told, ride.frames))
+    navigation = told._navigation
+    assert navigation is not None
+    scale = navigation.ekf.x[[Ix.SCALE_A, Ix.SCALE_B], 0]
+    true = 1 / (1 + np.array(radius_error_m) / radius_m) - 1
+    np.testing.assert_allclose(scale, true, atol=0.0008)
+    variance = np.diag(navigation.ekf.P)[[Ix.SCALE_A, Ix.SCALE_B]]
+    assert np.all(variance < 0.0004**2)  # also where the filter has gone back to a departure
+    _, untold = gone(ride)
+    late = slice(-800, None)
+    known, learned = (np.sqrt(np.mean(e.speed_mps[late] ** 2)) for e in (errors, untold))
+    assert known < 0.5 * learned
