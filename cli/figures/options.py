@@ -23,3 +23,5 @@ class Options:
     worlds: tuple[str, ...] = ()
     hours: float | None = None
     frame_hz: float | None = None
+    pace: float | None = None
+    capture: Path | None = None

@@ -1,0 +1,180 @@
+"""Books of a vehicle that ran for long, kept from the parts of its record as they are finished.
+
+Exact means three things, each counted here:
+
+- a stage: received = delivered + dropped + pending, in every heartbeat of every node;
+- a line: of what a simulated device put onto it whole, its bridge has had every frame;
+- the record: of a key's messages, which are numbered from 1 on, each is in it or named lost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from tramstream import keys
+from tramstream.boundary import Undecodable, name_of
+from tramstream.bridges.simulators.node import NAME as SIMULATORS
+from tramstream.bridges.simulators.node import OVERRUN
+from tramstream.proto.health_pb2 import DeviceHealth, Event, Loss, NodeHealth, StageLedger
+from tramstream.recorder.node import NAME as RECORDER
+from tramstream.recorder.reader import Record
+
+_DECODED = (NodeHealth, DeviceHealth, Loss, Event)
+MOST_TOLD = 20
+"""Examples of what does not add up that are kept."""
+_LINES = {"gnss": "frames", "odometer": "frames", "imu": "samples"}
+"""Unit in which simulated device and bridge of one name count alike."""
+
+
+class Line(NamedTuple):
+    """Between a simulated device and its bridge, in frames or samples."""
+
+    device: str
+    unit: str
+    sent: int
+    """Onto the line, whole."""
+    overrun: int
+    """Cut short, for the reader was too slow: some of it may have come."""
+    received: int
+
+    @property
+    def exact(self) -> bool:
+        """Whether the bridge has had all that was sent, and no more than was made."""
+        return self.sent <= self.received <= self.sent + self.overrun
+
+
+@dataclass
+class Books:
+    """What the parts that were taken say; of bounded size, however many they are."""
+
+    messages: int = 0
+    heartbeats: int = 0
+    ledgers: int = 0
+    """Looked at: those of all stages in all heartbeats."""
+    wrong: int = 0
+    """Of them, those that do not add up."""
+    restarts: Counter[str] = field(default_factory=Counter)
+    """Processes of a node that came after its first."""
+    losses: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """Messages named lost or not used, by consumer and cause."""
+    events: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """By source and kind."""
+    examples: list[str] = field(default_factory=list)
+    """Of what is wrong."""
+    last: dict[str, NodeHealth] = field(default_factory=dict)
+    devices: dict[str, DeviceHealth] = field(default_factory=dict)
+    begin_ns: int = 0
+    end_ns: int = 0
+    _counts: Counter[str] = field(default_factory=Counter)
+    _highest: dict[str, int] = field(default_factory=dict)
+    _named: Counter[str] = field(default_factory=Counter)
+    _pids: dict[str, int] = field(default_factory=dict)
+
+    def take(self, record: Record) -> None:
+        """Add a part of the record: all its messages."""
+        self.begin_ns = self.begin_ns or record.start_ns
+        self.end_ns = max(self.end_ns, record.end_ns)
+        for entry in record.messages():
+            topic = entry.topic
+            self.messages += 1
+            self._counts[topic] += 1
+            if entry.sequence > self._highest.get(topic, 0):
+                self._highest[topic] = entry.sequence
+            if record.class_of(topic) in _DECODED:
+                message = record.decode(entry)
+                if isinstance(message, Undecodable):
+                    self._tell(f"{topic} {entry.sequence}: {message.reason}")
+                else:
+                    self.add(topic, message)
+
+    def add(self, topic: str, message: Any) -> None:
+        """Add one message of health."""
+        source = keys.split(topic)[1].split("/")[1]
+        if isinstance(message, NodeHealth):
+            self._add_node(source, message)
+        elif isinstance(message, DeviceHealth):
+            self.devices[source] = message
+        elif isinstance(message, Loss):
+            self.losses[message.consumer, name_of(Loss.Cause, message.cause)] += message.count
+            if message.consumer == RECORDER:
+                self._named[message.key] += message.count
+        elif isinstance(message, Event):
+            self.events[message.source or source, message.kind] += 1 + message.unsaid
+
+    def _add_node(self, source: str, beat: NodeHealth) -> None:
+        self.heartbeats += 1
+        before = self._pids.setdefault(source, beat.pid)
+        if before != beat.pid:
+            self._pids[source] = beat.pid
+            self.restarts[source] += 1
+        for stage in beat.stages:
+            self.ledgers += 1
+            if stage.received != stage.delivered + stage.dropped + stage.pending:
+                self.wrong += 1
+                self._tell(f"{source} {stage.stage} {stage.unit}: {_worded(stage)}")
+        self.last[source] = beat
+
+    def _tell(self, what: str) -> None:
+        if len(self.examples) < MOST_TOLD:
+            self.examples.append(what)
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """By topic: numbers that are neither in the record nor named lost; less than 0: twice."""
+        found = {}
+        for topic, highest in self._highest.items():
+            off = highest - self._counts[topic] - self._named[topic]
+            if off:
+                found[topic] = off
+        return found
+
+    @property
+    def topics(self) -> int:
+        return len(self._counts)
+
+    @property
+    def lost(self) -> int:
+        """Messages that somebody never had, or did not use."""
+        return sum(self.losses.values())
+
+    def lines(self) -> list[Line]:
+        """The lines between simulated devices and bridges, as of the last heartbeats."""
+        simulated = self.last.get(SIMULATORS)
+        found = []
+        for device, unit in _LINES.items():
+            bridge = self.last.get(device)
+            if simulated is None or bridge is None:
+                continue
+            sent = _stage(simulated, device, unit)
+            overrun = _stage(simulated, f"{device} {OVERRUN}", unit)
+            received = _stage(bridge, device, unit)
+            found.append(Line(device, unit, sent.delivered, overrun.dropped, received.received))
+        return found
+
+    @property
+    def exact(self) -> bool:
+        """Whether all books add up: stages, lines and the record."""
+        lines = self.lines()
+        return (
+            not self.wrong
+            and not self.missing
+            and len(lines) == len(_LINES)
+            and all(line.exact for line in lines)
+        )
+
+
+def _stage(beat: NodeHealth, name: str, unit: str) -> StageLedger:
+    """A stage's ledger; an empty one if there is none."""
+    for stage in beat.stages:
+        if stage.stage == name and stage.unit == unit:
+            return stage
+    return StageLedger()
+
+
+def _worded(stage: StageLedger) -> str:
+    return (
+        f"{stage.received} received, {stage.delivered} delivered, {stage.dropped} dropped, "
+        f"{stage.pending} pending"
+    )
