@@ -22,10 +22,34 @@ from tramstream.recorder.node import NAME as RECORDER
 from tramstream.recorder.reader import Record
 
 _DECODED = (NodeHealth, DeviceHealth, Loss, Event)
+MOST_GAPS = 100_000
+"""Of one leap of the numbers; a greater one is a number that was made up."""
 MOST_TOLD = 20
 """Examples of what does not add up that are kept."""
 _LINES = {"gnss": "frames", "odometer": "frames", "imu": "samples"}
 """Unit in which simulated device and bridge of one name count alike."""
+
+
+@dataclass
+class Numbers:
+    """Which numbers of a key's messages have come, from 1 on; what comes late fills its gap."""
+
+    following: int = 1
+    gaps: set[int] = field(default_factory=set)
+    twice: int = 0
+    """That had come; those of a process included that has replaced another."""
+
+    def take(self, number: int) -> None:
+        """Take note of a message."""
+        if number >= self.following:
+            self.gaps.update(range(self.following, min(number, self.following + MOST_GAPS)))
+            self.following = number + 1
+        elif number in self.gaps:
+            self.gaps.discard(number)
+        elif number == 1:  # a new process
+            self.following = 2
+        else:
+            self.twice += 1
 
 
 class Line(NamedTuple):
@@ -67,8 +91,7 @@ class Books:
     devices: dict[str, DeviceHealth] = field(default_factory=dict)
     begin_ns: int = 0
     end_ns: int = 0
-    _counts: Counter[str] = field(default_factory=Counter)
-    _highest: dict[str, int] = field(default_factory=dict)
+    _numbers: dict[str, Numbers] = field(default_factory=dict)
     _named: Counter[str] = field(default_factory=Counter)
     _pids: dict[str, int] = field(default_factory=dict)
 
@@ -79,9 +102,10 @@ class Books:
         for entry in record.messages():
             topic = entry.topic
             self.messages += 1
-            self._counts[topic] += 1
-            if entry.sequence > self._highest.get(topic, 0):
-                self._highest[topic] = entry.sequence
+            numbers = self._numbers.get(topic)
+            if numbers is None:
+                numbers = self._numbers[topic] = Numbers()
+            numbers.take(entry.sequence)
             if record.class_of(topic) in _DECODED:
                 message = record.decode(entry)
                 if isinstance(message, Undecodable):
@@ -122,17 +146,21 @@ class Books:
 
     @property
     def missing(self) -> dict[str, int]:
-        """By topic: numbers that are neither in the record nor named lost; less than 0: twice."""
+        """By topic: numbers that are neither in the record nor named lost; less than 0: twice.
+
+        Where a process was replaced, it may have gone on from a memory that was a little older.
+        """
         found = {}
-        for topic, highest in self._highest.items():
-            off = highest - self._counts[topic] - self._named[topic]
+        for topic, numbers in self._numbers.items():
+            off = len(numbers.gaps) - self._named[topic]
+            off -= numbers.twice if not self.restarts else 0
             if off:
                 found[topic] = off
         return found
 
     @property
     def topics(self) -> int:
-        return len(self._counts)
+        return len(self._numbers)
 
     @property
     def lost(self) -> int:

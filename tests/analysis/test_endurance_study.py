@@ -13,7 +13,7 @@ from record_samples import START_NS
 from tramstream import keys
 from tramstream.analysis.studies import endurance, endurance_vehicle
 from tramstream.analysis.studies.endurance import Case, Found, Sample
-from tramstream.analysis.studies.endurance_books import Books
+from tramstream.analysis.studies.endurance_books import Books, Numbers
 from tramstream.bridges.gnss import ubx
 from tramstream.bridges.gnss.capture import epoch_times
 from tramstream.clock import S
@@ -100,6 +100,26 @@ def test_number_that_is_in_no_part_is_missing_unless_it_is_named_lost(tmp_path: 
     books.add(keys.LOSS.at("recorder").on("tram"), loss)
     assert not books.missing
     assert books.losses["recorder", "ABSENT"] == 2
+
+
+@pytest.mark.parametrize(
+    ("numbers", "gaps", "twice"),
+    [
+        ((1, 2, 3), 0, 0),
+        ((2, 3), 1, 0),
+        ((1, 4, 2, 5, 3), 0, 0),
+        ((1, 2, 3, 1, 2, 4), 1, 0),
+        ((1, 2, 2), 0, 1),
+    ],
+    ids=("whole", "first missing", "late", "new process", "twice"),
+)
+def test_numbers_that_have_not_come_are_known(
+    numbers: tuple[int, ...], gaps: int, twice: int
+) -> None:
+    book = Numbers()
+    for number in numbers:
+        book.take(number)
+    assert (len(book.gaps), book.twice) == (gaps, twice)
 
 
 def test_loss_that_another_node_told_does_not_excuse_the_record(tmp_path: Path) -> None:
