@@ -20,7 +20,7 @@ from statistics import median
 from typing import NamedTuple
 
 from tramstream.analysis.studies.endurance_books import Books
-from tramstream.analysis.studies.endurance_vehicle import Case, prepare
+from tramstream.analysis.studies.endurance_vehicle import HOUR, Case, frames_before, prepare
 from tramstream.clock import VehicleClock
 from tramstream.config_file import load
 from tramstream.errors import NodeError, RecordError
@@ -105,7 +105,7 @@ def study(
     VehicleClock.shared(vehicle.runtime_dir, case.pace)  # whoever comes first says how it runs
     command = [sys.executable, "-P", "-m", "tramstream.cli.main", "run", str(config)]
     command += ["--duration-s", f"{case.duration_s:g}"]
-    found = Found()
+    found = Found(Books(frames_before=frames_before((folder / HOUR).read_bytes())))
     log = folder / "run.log"
     with log.open("wb") as out:
         program = subprocess.Popen(command, stdout=out, stderr=out)

@@ -10,6 +10,7 @@ Exact means three things, each counted here:
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -61,12 +62,15 @@ class Line(NamedTuple):
     """Onto the line, whole."""
     overrun: int
     """Cut short, for the reader was too slow: some of it may have come."""
+    before: int
+    """Of what was sent, what came before the port was open, and was thrown away when it was."""
     received: int
 
     @property
     def exact(self) -> bool:
         """Whether the bridge has had all that was sent, and no more than was made."""
-        return self.sent <= self.received <= self.sent + self.overrun
+        due = self.sent - self.before
+        return due <= self.received <= due + self.overrun
 
 
 @dataclass
@@ -91,6 +95,12 @@ class Books:
     devices: dict[str, DeviceHealth] = field(default_factory=dict)
     begin_ns: int = 0
     end_ns: int = 0
+    began: dict[str, int] = field(default_factory=dict)
+    """Frames of a device that came before the first that its bridge has had."""
+    early: Counter[str] = field(default_factory=Counter)
+    """By topic: numbers before the first that the record has; the recorder was not there yet."""
+    frames_before: Mapping[int, int] = field(default_factory=dict)
+    """Of the receiver's capture: frames before the epoch of a time of week, ms."""
     _numbers: dict[str, Numbers] = field(default_factory=dict)
     _named: Counter[str] = field(default_factory=Counter)
     _pids: dict[str, int] = field(default_factory=dict)
@@ -104,7 +114,10 @@ class Books:
             self.messages += 1
             numbers = self._numbers.get(topic)
             if numbers is None:
-                numbers = self._numbers[topic] = Numbers()
+                numbers = self._numbers[topic] = Numbers(entry.sequence)
+                if entry.sequence > 1:
+                    self.early[topic] = entry.sequence - 1
+                self._note_first(topic, record.decode(entry))
             numbers.take(entry.sequence)
             if record.class_of(topic) in _DECODED:
                 message = record.decode(entry)
@@ -112,6 +125,14 @@ class Books:
                     self._tell(f"{topic} {entry.sequence}: {message.reason}")
                 else:
                     self.add(topic, message)
+
+    def _note_first(self, topic: str, message: Any) -> None:
+        """Tell by the first message of a device how much of what it had sent was thrown away."""
+        path = keys.split(topic)[1]
+        if path == keys.IMU_BATCH.path:
+            self.began["imu"] = message.first_sample_sequence
+        elif path == keys.GNSS_FIX.path:
+            self.began["gnss"] = self.frames_before.get(message.itow_ms, 0)
 
     def add(self, topic: str, message: Any) -> None:
         """Add one message of health."""
@@ -178,7 +199,10 @@ class Books:
             sent = _stage(simulated, device, unit)
             overrun = _stage(simulated, f"{device} {OVERRUN}", unit)
             received = _stage(bridge, device, unit)
-            found.append(Line(device, unit, sent.delivered, overrun.dropped, received.received))
+            before = self.began.get(device, 0)
+            found.append(
+                Line(device, unit, sent.delivered, overrun.dropped, before, received.received)
+            )
         return found
 
     @property

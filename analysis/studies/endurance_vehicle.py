@@ -18,8 +18,11 @@ import json
 import math
 from collections import Counter
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
+from tramstream.bridges.gnss import ubx
+from tramstream.bridges.gnss.framer import UBX, Frame, Framer
 from tramstream.bridges.odometer import candump
 from tramstream.bridges.odometer.frames import CanFrame
 from tramstream.bridges.simulators.captures import GnssLog
@@ -31,6 +34,11 @@ NAME = "endurance"
 RECEIVER = Path("ubx/zed-f9r-drive.ubx")
 BUS = Path("can/rav4_minute.candump")
 DBC = Path("can/toyota_2017.dbc")
+HOUR = "hour.ubx"
+QUIET_S = 15.0
+"""Of the machine's time, at the end: what bridges had no time to read would be no loss of theirs."""
+PATIENCE_S = 120.0
+"""A busy machine needs long to start the vehicle."""
 MINUTE_S = 60
 REPETITIONS = 60
 """Of the minute, until the receiver's times jump back."""
@@ -60,6 +68,11 @@ class Case:
     """A file of the record, the vehicle's time."""
 
     @property
+    def played_s(self) -> float:
+        """Of the vehicle's time: the devices fall silent before the bridges end."""
+        return self.duration_s - QUIET_S * self.pace
+
+    @property
     def duration_s(self) -> float:
         """Of the vehicle's time."""
         return 3600.0 * self.hours
@@ -75,11 +88,29 @@ def prepare(case: Case, folder: Path) -> Path:
     """
     minute = first_minute(case.receiver)
     hour = b"".join(moved(minute, n * MINUTE_S) for n in range(REPETITIONS))
-    (folder / "hour.ubx").write_bytes(hour)
+    (folder / HOUR).write_bytes(hour)
     (folder / "minute.candump").write_text(thinned(case.bus, case.can_hz))
     config = folder / "endurance.toml"
     config.write_text(configuration(case, folder))
     return config
+
+
+def frames_before(capture: bytes) -> dict[int, int]:
+    """Frames of a receiver's capture before each epoch, by its time of week, ms."""
+    log = GnssLog.cut(capture)
+    starts = accumulate((frames for _, _, frames in log.epochs), initial=0)
+    times = [itow for _, data, _ in log.epochs if (itow := _itow_ms(data)) is not None]
+    return dict(zip(times, starts, strict=False)) if len(times) == len(log.epochs) else {}
+
+
+def _itow_ms(epoch: bytes) -> int | None:
+    """Time of week of the first message of an epoch that tells it."""
+    framer = Framer()
+    for item in framer.feed(epoch) + framer.flush():
+        message = ubx.decode(item) if isinstance(item, Frame) and item.protocol == UBX else None
+        if isinstance(message, ubx.UbxMessage) and "iTOW" in message.fields:
+            return int(message.fields["iTOW"])
+    return None
 
 
 def first_minute(path: Path) -> bytes:
@@ -169,8 +200,10 @@ split_s = {case.part_s:g}
 
 [simulators.gnss]
 kind = "gnss_file"
+patience_s = {PATIENCE_S:g}
+lasts_s = {case.played_s:g}
 link = "{folder}/gnss"
-file = "{folder}/hour.ubx"
+file = "{folder}/{HOUR}"
 loop = true
 
 [simulators.odometer]

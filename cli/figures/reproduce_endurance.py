@@ -101,6 +101,7 @@ def _plain(case: Case, found: Found) -> dict[str, Any]:
         "ledgers": books.ledgers,
         "ledgers_wrong": books.wrong,
         "missing": books.missing,
+        "early": dict(books.early),
         "lines": [line._asdict() | {"exact": line.exact} for line in books.lines()],
         "lost": {f"{consumer} {cause}": n for (consumer, cause), n in books.losses.items()},
         "events": {f"{source} {kind}": n for (source, kind), n in books.events.items()},
@@ -141,13 +142,15 @@ def _print(console: Console, case: Case, found: Found) -> None:
     for line in books.lines():
         word = "exact" if line.exact else "NOT EXACT"
         over = f", {line.overrun} cut short" if line.overrun else ""
+        over += f", {line.before} before the port was open" if line.before else ""
         console.print(
             f"{line.device}: {line.sent} {line.unit} sent{over}, {line.received} received: {word}"
         )
     missing = sum(abs(off) for off in books.missing.values())
     console.print(
         f"{books.ledgers} ledgers in {books.heartbeats} heartbeats: {books.wrong} do not add up; "
-        f"numbers neither in the record nor named lost: {missing}",
+        f"numbers neither in the record nor named lost: {missing} "
+        f"(before the recorder began: {sum(books.early.values())})",
         soft_wrap=True,
     )
     for title, counts in (("lost or not used", books.losses), ("events", books.events)):
