@@ -20,7 +20,7 @@ from statistics import median
 from typing import NamedTuple
 
 from tramstream.analysis.studies.endurance_books import Books
-from tramstream.analysis.studies.endurance_vehicle import HOUR, Case, frames_before, prepare
+from tramstream.analysis.studies.endurance_vehicle import DEVICE, HOUR, Case, frames_before, prepare
 from tramstream.clock import VehicleClock
 from tramstream.config_file import load
 from tramstream.errors import NodeError, RecordError
@@ -34,6 +34,8 @@ LEAST_SAMPLE_S = 2.0
 EIGHTH = 1 / 8
 WINDOW = 1 / 16
 """Part of the run over which the median of the memory is taken."""
+SETTLE_S = 10.0
+"""So long bridges have for what was on their lines at the end."""
 END_S = 180.0
 """So long the vehicle may need to end in order, on a machine with much else to do."""
 DONE, MESSAGES_LOST = 0, 3
@@ -89,7 +91,7 @@ def study(
     stopped: Callable[[], bool] = lambda: False,
     tell: Callable[[Found], None] = lambda found: None,
 ) -> Found:
-    """Run the vehicle in `folder` until its time is over, or `stopped`.
+    """Run the vehicle in `folder` until all has been played, or `stopped`.
 
     `tell` is called with what is known so far after each file of the record.
 
@@ -104,13 +106,12 @@ def study(
     vehicle = load(config)
     VehicleClock.shared(vehicle.runtime_dir, case.pace)  # whoever comes first says how it runs
     command = [sys.executable, "-P", "-m", "tramstream.cli.main", "run", str(config)]
-    command += ["--duration-s", f"{case.duration_s:g}"]
     found = Found(Books(frames_before=frames_before((folder / HOUR).read_bytes())))
     log = folder / "run.log"
     with log.open("wb") as out:
         program = subprocess.Popen(command, stdout=out, stderr=out)
     try:
-        _watch(program, case, folder / "records", found, stopped, tell)
+        _watch(program, case, folder, found, stopped, tell)
     finally:
         with suppress(ProcessLookupError):
             program.send_signal(signal.SIGINT)
@@ -126,19 +127,24 @@ def study(
 def _watch(
     program: subprocess.Popen[bytes],
     case: Case,
-    records: Path,
+    folder: Path,
     found: Found,
     stopped: Callable[[], bool],
     tell: Callable[[Found], None],
 ) -> None:
-    """Read memory and finished parts until the vehicle has ended."""
-    begin_s = due_s = 0.0
+    """Read memory and finished parts until the devices have been silent for a while."""
+    records, link = folder / "records", folder / DEVICE
+    begin_s = due_s = silent_s = 0.0
     every_s = max(LEAST_SAMPLE_S, case.duration_s / case.pace / SAMPLES)
     while program.poll() is None and not stopped():
         time.sleep(LOOK_S)
         now_s = time.monotonic()
+        if found.samples and not link.is_symlink():  # pulled out: all has been played
+            silent_s += LOOK_S
+            if silent_s > SETTLE_S:
+                return
         if not begin_s:
-            if not any(records.glob("*.mcap*")):
+            if not (any(records.glob("*.mcap*")) and link.is_symlink()):
                 continue
             begin_s = due_s = now_s
         found.elapsed_s = now_s - begin_s

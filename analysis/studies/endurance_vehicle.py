@@ -34,9 +34,9 @@ NAME = "endurance"
 RECEIVER = Path("ubx/zed-f9r-drive.ubx")
 BUS = Path("can/rav4_minute.candump")
 DBC = Path("can/toyota_2017.dbc")
+DEVICE = "imu"
+"""Of the pseudo terminals; all are there while something is played."""
 HOUR = "hour.ubx"
-QUIET_S = 15.0
-"""Of the machine's time, at the end: what bridges had no time to read would be no loss of theirs."""
 PATIENCE_S = 120.0
 """A busy machine needs long to start the vehicle."""
 MINUTE_S = 60
@@ -66,11 +66,6 @@ class Case:
     """Of the resampler, and so of the filter."""
     part_s: float = 300.0
     """A file of the record, the vehicle's time."""
-
-    @property
-    def played_s(self) -> float:
-        """Of the vehicle's time: the devices fall silent before the bridges end."""
-        return self.duration_s - QUIET_S * self.pace
 
     @property
     def duration_s(self) -> float:
@@ -201,7 +196,7 @@ split_s = {case.part_s:g}
 [simulators.gnss]
 kind = "gnss_file"
 patience_s = {PATIENCE_S:g}
-lasts_s = {case.played_s:g}
+lasts_s = {case.duration_s:g}
 link = "{folder}/gnss"
 file = "{folder}/{HOUR}"
 loop = true
@@ -214,6 +209,6 @@ loop = true
 
 [simulators.imu]
 kind = "imu_still"
-link = "{folder}/imu"
+link = "{folder}/{DEVICE}"
 seed = 1
 """

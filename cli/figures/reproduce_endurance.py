@@ -106,12 +106,20 @@ def _plain(case: Case, found: Found) -> dict[str, Any]:
         "lost": {f"{consumer} {cause}": n for (consumer, cause), n in books.losses.items()},
         "events": {f"{source} {kind}": n for (source, kind), n in books.events.items()},
         "restarts": dict(books.restarts),
+        "stages": [
+            {"node": node} | {name: getattr(stage, name) for name in _STAGE}
+            for node, beat in sorted(books.last.items())
+            for stage in beat.stages
+        ],
         "memory_mb": found.memory(),
         "parts": found.parts,
         "record_bytes": found.record_bytes,
         "most_disk_bytes": found.most_disk_bytes,
         "samples": [sample._asdict() for sample in found.samples],
     }
+
+
+_STAGE = ("stage", "unit", "received", "delivered", "dropped", "pending")
 
 
 # Tables -------------------------------------------------------------------------------------------
