@@ -120,7 +120,10 @@ def study(
     tell(found)
     if found.status not in (DONE, MESSAGES_LOST) and not stopped():
         last = log.read_text(errors="replace").strip().splitlines()[-1:]
-        raise NodeError(f"the vehicle ended with status {found.status}: {''.join(last)}; see {log}")
+        raise NodeError(
+            f"the vehicle ended with status {found.status}: {''.join(last)}; see {log}",
+            found.status,
+        )
     return found
 
 

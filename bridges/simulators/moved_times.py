@@ -87,7 +87,7 @@ def _moved_nmea(frame: Frame, by_s: int) -> bytes:
         if kind == "RMC" and words[_RMC_DATE]:
             day = datetime.strptime(words[_RMC_DATE], "%d%m%y")
         elif kind == "ZDA" and words[_ZDA_DAY]:
-            day = datetime(*(int(word) for word in words[_ZDA_DAY + 2 : _ZDA_DAY - 1 : -1]))
+            day = datetime.strptime("-".join(words[_ZDA_DAY : _ZDA_DAY + 3]), "%d-%m-%Y")
         now = datetime.combine(day, datetime.strptime(clock[:_DAY_DIGITS], "%H%M%S").time())
     except (ValueError, IndexError):
         return frame.raw
