@@ -10,8 +10,10 @@ another frame, so what claims to go on around a chain is a false start, whatever
 from __future__ import annotations
 
 import re
-from collections import deque
+from bisect import bisect_right
+from dataclasses import dataclass, field
 from functools import cache
+from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +52,9 @@ _UBX_FIRST, _RTCM3_FIRST = 0xB5, 0xD3
 _CHAIN = 3
 """Frames of a chain."""
 _CHAIN_BEGINS = re.compile(rb"\xb5\x62|\$[A-Z]")
+_LEAST = 2
+"""Bytes that show a start."""
+_FAR = 2**63
 _ROOM = 32
 """A frame that is shorter is not looked into."""
 
@@ -62,9 +67,8 @@ class Window:
         self._final = final
         self._fletcher: tuple[bytes, bytes] | None = None
         self._xor: bytes | None = None
-        self._claimed = 0  # where the frame that was judged last says it ends; 0: it does not say
-        self._searched = 0
-        self._chains: deque[tuple[int, int]] = deque()  # start and end, both rising
+        self.claimed = 0
+        """Where the frame that was judged last says that it ends; 0: it does not say."""
 
     def check(self, start: int) -> Verdict:
         """Judge the possible frame at `start`, where the sync pattern of one of the others lies."""
@@ -77,7 +81,7 @@ class Window:
     def check_ubx(self, start: int) -> Verdict:
         data = self.data
         size = len(data)
-        self._claimed = 0
+        self.claimed = 0
         payload = start + 6
         if payload > size:
             return 0, WAIT
@@ -95,7 +99,7 @@ class Window:
             if extra != told and length not in _OTHER_LENGTHS.get(kind, ()):
                 return kind, _COUNT
         end = payload + length
-        self._claimed = end + 2
+        self.claimed = end + 2
         if end + 2 > size:
             return kind, WAIT
         if self._fletcher is None:
@@ -110,7 +114,7 @@ class Window:
         return kind, end + 2
 
     def _check_nmea(self, start: int) -> Verdict:
-        self._claimed = 0
+        self.claimed = 0
         end = self._sentence(start)
         if end <= 0:
             return 0, end
@@ -134,11 +138,11 @@ class Window:
     def _check_rtcm3(self, start: int) -> Verdict:
         data = self.data
         size = len(data)
-        self._claimed = 0
+        self.claimed = 0
         if start + 3 > size:
             return 0, WAIT
         length = (data[start + 1] & 3) << 8 | data[start + 2]
-        end = self._claimed = start + length + RTCM3_OVERHEAD
+        end = self.claimed = start + length + RTCM3_OVERHEAD
         if end > size:
             return 0, WAIT
         kind = data[start + 3] << 4 | data[start + 4] >> 4 if length >= 2 else 0
@@ -146,47 +150,82 @@ class Window:
             return kind, _CRC
         return kind, end
 
-    def is_overtaken(self, start: int) -> bool:
-        """Whether a chain lies inside of the frame at `start`, which was judged right before.
+    def end_of_chain(self, at: int) -> tuple[int, int]:
+        """Where the chain that begins at `at` ends, 0 if none does; what has to be there to tell.
 
-        It hangs on the bytes of that frame alone: whoever waits for its end and whoever has it at
-        once come to the same. Starts only rise.
+        The latter is 0 where it is known.
         """
-        end = self._claimed
-        if end - start < _ROOM:
-            return False
-        chains, limit = self._chains, min(end, len(self.data))
-        at = max(self._searched, start + 1)
-        while (found := _CHAIN_BEGINS.search(self.data, at, limit)) is not None:
-            at = found.start() + 1
-            chain_end = self._end_of_chain(found.start())
-            if chain_end:
-                while chains and chains[-1][1] >= chain_end:
-                    chains.pop()  # it begins earlier and ends no earlier
-                chains.append((found.start(), chain_end))
-        self._searched = max(self._searched, limit - 1)  # half of a start may stand there
-        while chains and chains[0][0] <= start:
-            chains.popleft()
-        return bool(chains) and chains[0][1] < end
-
-    def _end_of_chain(self, at: int) -> int:
-        """Where the chain that begins at `at` ends; 0 if none does, or not all of it is there."""
-        end = 0
+        end, size = 0, len(self.data)
         for _ in range(_CHAIN):
+            if at + _LEAST > size:
+                return 0, size + 1
             if SYNC.match(self.data, at) is None:
-                return 0
+                return 0, 0
             first = self.data[at]
             if first == _UBX_FIRST:
                 end = self.check_ubx(at)[1]
             elif first == _RTCM3_FIRST:
                 end = self._check_rtcm3(at)[1]
             else:  # a line end, which may be on its way, is no part of the chain
-                end = self._sentence(at)
-            if end <= 0:
-                return 0
+                self.claimed, end = 0, self._sentence(at)
+            if end == WAIT:
+                return 0, max(self.claimed, size + 1)
+            if end < 0:
+                return 0, 0
             between = LINE_ENDS.match(self.data, end)
             at = between.end() if between is not None else end
-        return end
+        return end, 0
+
+
+@dataclass
+class Chains:
+    """Chains in a stream, each looked for once however the stream is cut: a memory.
+
+    All places are those in the stream, the first byte ever fed being 0.
+    """
+
+    searched: int = 0
+    """Before it, all beginnings are known."""
+    found: list[tuple[int, int]] = field(default_factory=list)
+    """Start and end; both rise: of two chains, one within the other, the outer tells nothing."""
+    undecided: list[tuple[int, int]] = field(default_factory=list)
+    """A heap of beginnings, by how far the stream has to have come to tell."""
+
+    def are_inside(self, window: Window, base: int, start: int, end: int) -> bool:
+        """Whether one lies between `start`, which only rises, and `end`.
+
+        `base` is the place of the window's first byte.
+        """
+        if end - start < _ROOM:
+            return False
+        come = base + len(window.data)
+        limit = min(end, come) - base
+        at = max(self.searched, start + 1) - base
+        while (beginning := _CHAIN_BEGINS.search(window.data, at, limit)) is not None:
+            at = beginning.start() + 1
+            self._judge(window, base, base + beginning.start())
+        self.searched = max(self.searched, base + limit - 1)  # half of one may stand there
+        while self.undecided and self.undecided[0][0] <= come:
+            place = heappop(self.undecided)[1]
+            if place > start:
+                self._judge(window, base, place)
+        del self.found[: bisect_right(self.found, (start, _FAR))]
+        return bool(self.found) and self.found[0][1] < end
+
+    def _judge(self, window: Window, base: int, place: int) -> None:
+        end, needed = window.end_of_chain(place - base)
+        if needed:
+            heappush(self.undecided, (base + needed, place))
+        if not end:
+            return
+        found, end = self.found, base + end
+        at = bisect_right(found, (place, _FAR))
+        if at < len(found) and found[at][1] <= end:
+            return
+        first = at
+        while first and found[first - 1][1] >= end:
+            first -= 1
+        found[first:at] = [(place, end)]
 
 
 _LIMITS = ubx_layouts.LIMITS

@@ -36,6 +36,7 @@ from tramstream.bridges.gnss.frame_checks import (
     SYNC,
     SYNC_FIRST,
     WAIT,
+    Chains,
     Window,
     crc24q,
     fletcher_prefix,
@@ -48,8 +49,6 @@ NOISE = "noise"
 
 _SLICE = 1 << 20
 """A long `feed` is worked through in slices of this many bytes, to bound the memory."""
-_LOOK = 16
-"""Who waits looks again into what has come when it has grown by one part of so many."""
 
 
 class Frame(NamedTuple):
@@ -115,8 +114,7 @@ class Framer:
     """Reason and start of the open rejected run."""
     _line_ends: bool = False
     """CR and LF that come next belong to the sentence before."""
-    _look_at: int = 0
-    """Place in the stream from which on it is looked again into what the frame that waits holds."""
+    _chains: Chains = field(default_factory=Chains)
 
     @property
     def bytes_pending(self) -> int:
@@ -148,7 +146,7 @@ class Framer:
         window, deliver = Window(data, final), out.append
         check, check_ubx = window.check, window.check_ubx
         self.bytes_in += len(news)
-        look = final or self.bytes_in >= self._look_at
+        chains = self._chains
         frames = framed = at = 0  # everything before `at` is settled
         if self._line_ends:
             at = framed = LINE_ENDS.match(data).end()  # type: ignore[union-attr]
@@ -168,7 +166,9 @@ class Framer:
                 self._close_run(base + start, out)
             protocol = _PROTOCOLS[data[start]]
             kind, end = check_ubx(start) if protocol == UBX else check(start)
-            if (end != WAIT or look) and window.is_overtaken(start):
+            if window.claimed and chains.are_inside(
+                window, base, base + start, base + window.claimed
+            ):
                 reason = f"{protocol} overtaken"
             elif end > 0:
                 deliver(Frame(protocol, kind, data[start:end], base + end - 1))
@@ -180,8 +180,6 @@ class Framer:
                 framed += at - start
                 continue
             elif end == WAIT and not final:
-                if look:
-                    self._look_at = self.bytes_in + (size - start) // _LOOK
                 break
             else:
                 reason = f"{protocol} truncated" if end == WAIT else REASONS[end]
