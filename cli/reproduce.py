@@ -12,7 +12,7 @@ from tramstream.cli.figures.options import Options
 
 WORKS = (
     *("konecny2004", "kaspar2023", "chladek2023"),
-    *("drives", "matching", "receivers", "worlds", "day", "allan"),
+    *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance"),
 )
 
 
@@ -60,8 +60,8 @@ def reproduce(
     data: Annotated[
         Path | None,
         typer.Option(
-            help="drives, receivers: where they are; default ../shared/data/drives, "
-            "../shared/data/ubx.",
+            help="drives, receivers, endurance: where they are; default ../shared/data/drives, "
+            "../shared/data/ubx, ../shared/data.",
             metavar="DIR",
         ),
     ] = None,
@@ -81,7 +81,9 @@ def reproduce(
     ] = None,
     hours: Annotated[
         float | None,
-        typer.Option(help="day, allan: of which length; default 8, 6.", min=0.1, max=24.0),
+        typer.Option(
+            help="day, allan, endurance: of which length; default 8, 6, 24.", min=0.1, max=24.0
+        ),
     ] = None,
     frame_hz: Annotated[
         float | None,
@@ -91,11 +93,20 @@ def reproduce(
         float | None,
         typer.Option("--rate-hz", help="allan: samples a second; default 2000.", min=1, max=2000),
     ] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(help="endurance: times real time; default 20.", min=1.0, max=100.0),
+    ] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(help="endurance: of a receiver, instead of DATA's.", metavar="FILE"),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
     matcher, of captured receivers, of the localisation in many worlds or on a day of eight
-    hours, or of noise estimated from simulated standstill."""
+    hours, of noise estimated from simulated standstill, or whether a running vehicle grows or
+    loses anything in a day."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError
@@ -105,5 +116,5 @@ def reproduce(
     lines, kinds = tuple(line or ()), tuple(kind or ())
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
-    options = replace(options, frame_hz=frame_hz, rate_hz=rate_hz)
+    options = replace(options, frame_hz=frame_hz, rate_hz=rate_hz, pace=pace, capture=capture)
     import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)

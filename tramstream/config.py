@@ -326,6 +326,11 @@ class Simulator(Struct, frozen=True, kw_only=True):
     """Seed of the devices' noise: the same bytes for the same seed."""
     loop: bool = False
     """Whether captured bytes come again and again."""
+    lasts_s: NotNegative = 0.0
+    """After so long all simulated devices are pulled out; 0: when what they play has ended."""
+    patience_s: NotNegative = 0.0
+    """Until its devices have been opened, but for no longer than this, all simulators are silent:
+    what a device says before is thrown away when it is opened."""
 
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]

@@ -295,6 +295,7 @@ class GnssBridge(Processor):
         fix = nmea.fix_of(epoch, self.config.max_accuracy_m)
         if epoch.date:
             utc_ns += behind_ns(utc_ns, epoch.first_arrival_ns)
+            utc_ns += self.timeline.in_its_age(gps_ns := utc_ns - GPS_EPOCH_UNIX_S * S) - gps_ns
             fix.utc_ns = utc_ns
             if self.timeline.leap_seconds is not None:
                 leap_s = self.timeline.leap_seconds

@@ -81,7 +81,8 @@ def epoch_times(data: bytes) -> list[tuple[int, int]]:
     ]
     epochs = _nmea_epochs(frames)
     if times or any(epoch.date for epoch in epochs):
-        times += _dated(epochs, leap_seconds)
+        dated = _dated(epochs, leap_seconds)
+        times += [(end, timeline.in_its_age(gps_ns)) for end, gps_ns in dated]
     else:
         times = [(e.first_arrival_ns, e.utc_ns - GPS_EPOCH_UNIX_S * S) for e in epochs]
     times.sort(key=lambda time: time[0])

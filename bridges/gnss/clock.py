@@ -7,7 +7,8 @@ leap seconds, which are believed only where the receiver says that they are vali
 
 A receiver that has not found its place tells the day that its clock was built, or with which its
 week counter began: dates before GPS was complete are none. One that is older than its firmware's
-idea of weeks is 1024 weeks back; its leap seconds, or a vehicle clock that knows the year, tell.
+idea of weeks is 1024 weeks back. What it sends tells it, where no receiver of that date sent such
+messages yet; so do its leap seconds, or a vehicle clock that knows the year.
 
 `ArrivalClock` maps a device's time to the vehicle clock with `ClockFit`, by the definition
 arrival = epoch + receiver delay + line time + waiting, waiting ≥ 0.
@@ -38,6 +39,14 @@ no date."""
 _FIRST_NS = ((FIRST_DAY - 719_163) * _DAY_S - GPS_EPOCH_UNIX_S) * S
 ROLLOVER_NS = 1024 * WEEK_NS
 """Ten bits of week: what a receiver is wrong by that does not know which of them it is."""
+MODERN = frozenset(
+    ("NAV-PVT", "NAV-PVAT", "HNR-PVT", "RXM-RAWX", "NAV-SAT", "NAV-SIG", "NAV-COV", "NAV-EOE")
+)
+"""What no receiver sends that was built before u-blox 7."""
+_MODERN_DAY = date(2011, 1, 1).toordinal()
+"""The first u-blox 7 were sold in 2012 (GPS.G7-SW-12001). A date that is 1024 weeks back lies
+before it until August 2030."""
+_MODERN_NS = ((_MODERN_DAY - 719_163) * _DAY_S - GPS_EPOCH_UNIX_S) * S
 _NEAR_NS = 30 * _DAY_S * S
 """A vehicle clock that knows the year is right by this."""
 
@@ -100,6 +109,8 @@ class GpsTimeline:
     reference_ns: int | None = None
     """The latest GPS time of which the week was known."""
     leap_seconds: int | None = None
+    modern: bool = False
+    """Whether the receiver has sent what is in `MODERN`."""
 
     def of(self, message: UbxMessage, vehicle_ns: int = 0) -> int | None:
         """GPS time of the epoch that `message` belongs to; None while the week is unknown.
@@ -108,6 +119,7 @@ class GpsTimeline:
         """
         fields = message.fields
         name = message.name
+        self.modern = self.modern or name in MODERN
         find = _WHOLE_TIMES.get(name)
         if find is None:
             if name == "NAV-TIMELS" and fields["valid"] & 1:
@@ -118,12 +130,19 @@ class GpsTimeline:
         if gps_ns is None or gps_ns < _FIRST_NS:
             return None
         gps_ns += behind_ns(gps_ns + GPS_EPOCH_UNIX_S * S, vehicle_ns)
+        gps_ns = self.in_its_age(gps_ns)
         if self.leap_seconds is not None and self.leap_seconds <= _NEWEST_LEAP:
             while (
                 self.leap_seconds - leap_seconds_on(gps_ns + GPS_EPOCH_UNIX_S * S) >= _MISSED_LEAPS
             ):
                 gps_ns += ROLLOVER_NS
         self.reference_ns = gps_ns
+        return gps_ns
+
+    def in_its_age(self, gps_ns: int) -> int:
+        """Move a GPS time by rollovers of the week to when there were receivers like this one."""
+        while self.modern and gps_ns < _MODERN_NS:
+            gps_ns += ROLLOVER_NS
         return gps_ns
 
     def near(self, tow_ns: int) -> int | None:

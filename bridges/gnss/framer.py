@@ -5,70 +5,50 @@ holds: the frame is whole and its check value agrees (it is delivered), somethin
 (a *false start*: reading resumes one byte further on, so that an intact frame behind a corrupt
 header is never lost), or more bytes are needed (the framer waits). None of the three depends on
 where the stream was cut, so any cutting gives the same list. Inside a whole frame no other frame
-is looked for: the outer one wins.
+is looked for: the outer one wins, unless what lies inside is a *chain* of three whole frames.
 
 A frame may only be as long as its type allows, and may not contradict its own count of entries, so
-that a flipped length bit is noticed in the header or after a wait that is bounded by the type's
-longest message (`ubx_layouts.LIMITS`), never after 64 KiB.
+that a flipped length bit is noticed in the header. A false start may still claim up to 8 kB, for
+which a receiver that says little needs a minute. It does not hold the stream up for so long: where
+a chain has come behind it, it is a false start, whatever its check value. So it is in a file that
+is read at once, for the verdict hangs on the bytes alone, not on when they came.
 
 An NMEA sentence is whole with its checksum. Its line end may be any: CR LF, LF alone, LF LF or
 CR CR LF behind a terminal that was not raw, none at all at the end of a file. One line end belongs
 to the frame; what follows of CR and LF is counted with it and reported neither as frame nor as
 rejected.
 
-Check values come from prefix sums of what lies in the buffer, made once for each `feed`: whether a
-frame of n bytes agrees is then told in constant time, and no input, however hostile, makes the
-framer slower than linear.
+Frames are judged by `frame_checks`, in linear time whatever comes.
 """
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cache, reduce
+from functools import reduce
 from operator import xor
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tramstream.bridges.gnss import ubx_layouts
+from tramstream.bridges.gnss.frame_checks import (
+    LINE_ENDS,
+    REASONS,
+    SYNC,
+    SYNC_FIRST,
+    WAIT,
+    Chains,
+    Window,
+    crc24q,
+    fletcher_prefix,
+)
 
 UBX, NMEA, RTCM3 = "UBX", "NMEA", "RTCM3"
 
 NOISE = "noise"
 """Reason of bytes in which no frame starts: text headers, another device's words, line noise."""
 
-RTCM3_OVERHEAD = 6
-"""Preamble, two of length, three of CRC."""
-_SYNC = re.compile(rb"\xb5\x62|\$[A-Z]|![A-Z]|\xd3[\x00-\x03]")
-_SYNC_FIRST = b"\xb5$!\xd3"
-# Start and at most 1024 characters up to the asterisk, none of them a control character or another
-# start. The standard allows 79; PUBX,03 with 60 satellites has 900.
-_BODY = rb"[$!][A-Z][ -#%-)+-~]{0,1023}+"
-_SENTENCE = re.compile(_BODY + rb"\*([0-9A-Fa-f]{2})((?:\r{0,2}\n)?)")
-_SENTENCE_SO_FAR = re.compile(_BODY + rb"(?:\*[0-9A-Fa-f]?)?\Z")
-_LINE_END_SO_FAR = re.compile(rb"\r{0,2}\Z")
-_LINE_ENDS = re.compile(rb"[\r\n]*")
-
 _SLICE = 1 << 20
 """A long `feed` is worked through in slices of this many bytes, to bound the memory."""
-
-_WAIT = 0
-# Why a frame cannot be, as negative verdicts.
-_LENGTH, _COUNT, _FLETCHER, _UBX_CUT, _MALFORMED, _XOR, _NMEA_CUT, _CRC, _RTCM3_CUT = range(-9, 0)
-_REASONS = {
-    _LENGTH: "UBX length",
-    _COUNT: "UBX count",
-    _FLETCHER: "UBX checksum",
-    _UBX_CUT: "UBX truncated",
-    _MALFORMED: "NMEA malformed",
-    _XOR: "NMEA checksum",
-    _NMEA_CUT: "NMEA truncated",
-    _CRC: "RTCM3 CRC",
-    _RTCM3_CUT: "RTCM3 truncated",
-}
 
 
 class Frame(NamedTuple):
@@ -134,6 +114,7 @@ class Framer:
     """Reason and start of the open rejected run."""
     _line_ends: bool = False
     """CR and LF that come next belong to the sentence before."""
+    _chains: Chains = field(default_factory=Chains)
 
     @property
     def bytes_pending(self) -> int:
@@ -162,17 +143,18 @@ class Framer:
         base = self.position
         data = self._pending + news
         size = len(data)
-        window, deliver = _Window(data, final), out.append
+        window, deliver = Window(data, final), out.append
         check, check_ubx = window.check, window.check_ubx
         self.bytes_in += len(news)
+        chains = self._chains
         frames = framed = at = 0  # everything before `at` is settled
         if self._line_ends:
-            at = framed = _LINE_ENDS.match(data).end()  # type: ignore[union-attr]
+            at = framed = LINE_ENDS.match(data).end()  # type: ignore[union-attr]
             self._line_ends = at == size
         while True:
-            found = _SYNC.search(data, at)
+            found = SYNC.search(data, at)
             if found is None:
-                half_sync = not final and size > at and data[-1] in _SYNC_FIRST
+                half_sync = not final and size > at and data[-1] in SYNC_FIRST
                 self._reject(base + at, size - half_sync - at)
                 at = size - half_sync
                 break
@@ -182,22 +164,27 @@ class Framer:
                 at = start
             if self._run is not None:
                 self._close_run(base + start, out)
-            protocol, kind, end = check_ubx(start) if data[start] == 0xB5 else check(start)
-            if end > 0:
+            protocol = _PROTOCOLS[data[start]]
+            kind, end = check_ubx(start) if protocol == UBX else check(start)
+            if window.claimed and chains.are_inside(
+                window, base, base + start, base + window.claimed
+            ):
+                reason = f"{protocol} overtaken"
+            elif end > 0:
                 deliver(Frame(protocol, kind, data[start:end], base + end - 1))
                 frames += 1
                 at = end
                 if protocol == NMEA:
-                    at = _LINE_ENDS.match(data, end).end()  # type: ignore[union-attr]
+                    at = LINE_ENDS.match(data, end).end()  # type: ignore[union-attr]
                     self._line_ends = at == size
                 framed += at - start
                 continue
-            if end == _WAIT:
-                if not final:
-                    break
-                end = _CUT_SHORT[protocol]
-            self._run = (_REASONS[end], base + start)
-            self.false_starts[_REASONS[end]] += 1
+            elif end == WAIT and not final:
+                break
+            else:
+                reason = f"{protocol} truncated" if end == WAIT else REASONS[end]
+            self._run = (reason, base + start)
+            self.false_starts[reason] += 1
             self.bytes_rejected += 1
             at = start + 1
         self.frames += frames
@@ -218,128 +205,13 @@ class Framer:
             self._run = None
 
 
-_CUT_SHORT = {UBX: _UBX_CUT, NMEA: _NMEA_CUT, RTCM3: _RTCM3_CUT}
-_Verdict = tuple[str, int, int]
-"""Protocol, kind, and where the frame ends in the window, `_WAIT`, or a negative reason."""
-
-
-class _Window:
-    """The bytes at hand, with prefix sums made when the first frame needs them."""
-
-    def __init__(self, data: bytes, final: bool) -> None:
-        self.data = data
-        self._final = final
-        self._fletcher: tuple[bytes, bytes] | None = None
-        self._xor: bytes | None = None
-
-    def check(self, start: int) -> _Verdict:
-        """Judge the possible frame at `start`, where the sync pattern of one of the others lies."""
-        return self._check_rtcm3(start) if self.data[start] == 0xD3 else self._check_nmea(start)
-
-    def check_ubx(self, start: int) -> _Verdict:
-        data = self.data
-        size = len(data)
-        payload = start + 6
-        if payload > size:
-            return UBX, 0, _WAIT
-        kind = data[start + 2] << 8 | data[start + 3]
-        length = data[start + 4] | data[start + 5] << 8
-        fixed, step, longest, count_at = _LIMITS.get(kind, _ANY)
-        extra = length - fixed
-        if extra < 0 or length > longest or (extra % step if step else extra):
-            if length and length not in _OTHER_LENGTHS.get(kind, ()):  # 0 is a request
-                return UBX, kind, _LENGTH
-        elif count_at >= 0:
-            if payload + count_at >= size:
-                return UBX, kind, _WAIT
-            told = data[payload + count_at] * step
-            if extra != told and length not in _OTHER_LENGTHS.get(kind, ()):
-                return UBX, kind, _COUNT
-        end = payload + length
-        if end + 2 > size:
-            return UBX, kind, _WAIT
-        if self._fletcher is None:
-            self._fletcher = _fletcher_prefix(data)
-        sums, sums_of_sums = self._fletcher
-        before, last = start + 1, end - 1
-        a0 = sums[before]
-        a = (sums[last] - a0) & 0xFF
-        b = (sums_of_sums[last] - sums_of_sums[before] - (last - before) * a0) & 0xFF
-        if a != data[end] or b != data[end + 1]:
-            return UBX, kind, _FLETCHER
-        return UBX, kind, end + 2
-
-    def _check_nmea(self, start: int) -> _Verdict:
-        data = self.data
-        found = _SENTENCE.match(data, start)
-        if found is None:
-            waits = _SENTENCE_SO_FAR.match(data, start)
-            return NMEA, 0, _WAIT if waits else _MALFORMED
-        if self._xor is None:
-            self._xor = np.bitwise_xor.accumulate(np.frombuffer(data, np.uint8)).tobytes()
-        digits, told = found.start(1), found.group(1)
-        if self._xor[start] ^ self._xor[digits - 2] != int(told, 16):
-            return NMEA, 0, _XOR
-        if not found.group(2) and not self._final and _LINE_END_SO_FAR.match(data, digits + 2):
-            return NMEA, 0, _WAIT  # its line end may be on its way
-        return NMEA, 0, found.end()
-
-    def _check_rtcm3(self, start: int) -> _Verdict:
-        data = self.data
-        size = len(data)
-        if start + 3 > size:
-            return RTCM3, 0, _WAIT
-        length = (data[start + 1] & 3) << 8 | data[start + 2]
-        end = start + length + RTCM3_OVERHEAD
-        if end > size:
-            return RTCM3, 0, _WAIT
-        kind = data[start + 3] << 4 | data[start + 4] >> 4 if length >= 2 else 0
-        if crc24q(data[start : end - 3]) != int.from_bytes(data[end - 3 : end], "big"):
-            return RTCM3, kind, _CRC
-        return RTCM3, kind, end
-
-
-_LIMITS = ubx_layouts.LIMITS
-_OTHER_LENGTHS = ubx_layouts.OTHER_LENGTHS
-_ANY = ubx_layouts.ANY_LIMIT
-
-
-def _fletcher_prefix(data: bytes) -> tuple[bytes, bytes]:
-    """Running sums, and running sums of these, of all bytes modulo 256."""
-    sums = np.cumsum(np.frombuffer(data, np.uint8), dtype=np.uint8)
-    return sums.tobytes(), np.cumsum(sums, dtype=np.uint8).tobytes()
-
-
-@cache
-def _crc24q_table() -> NDArray[np.uint32]:
-    """What byte b, followed by k more, adds to the CRC, at [k * 256 + b]; the CRC is linear."""
-    byte = np.arange(256, dtype=np.uint32) << 16
-    for _ in range(8):
-        byte = np.where(byte & 0x800000, (byte << 1) ^ 0x1864CFB, byte << 1)
-    rows = [byte]
-    for _ in range(1023 + 2):
-        rows.append((rows[-1] << 8 & 0xFFFFFF) ^ byte[rows[-1] >> 16])
-    return np.concatenate(rows)
-
-
-_ROW = np.arange(1025, -1, -1) * 256
-
-
-def crc24q(data: bytes) -> int:
-    """CRC-24Q (polynomial 0x1864CFB, start 0) of at most 1026 bytes.
-
-    References
-    ----------
-    RTCM 10403, section 4 (transport layer); Qualcomm's CRC-24Q.
-    """
-    where = _ROW[len(_ROW) - len(data) :] + np.frombuffer(data, np.uint8)
-    return int(np.bitwise_xor.reduce(_crc24q_table()[where], initial=0))
+_PROTOCOLS = {0xB5: UBX, 0x24: NMEA, 0x21: NMEA, 0xD3: RTCM3}
 
 
 def ubx_frame(kind: int, payload: bytes) -> bytes:
     """Wrap `payload` as UBX of class and identifier `kind`."""
     body = kind.to_bytes(2, "big") + len(payload).to_bytes(2, "little") + payload
-    sums, sums_of_sums = _fletcher_prefix(body)
+    sums, sums_of_sums = fletcher_prefix(body)
     return b"\xb5\x62" + body + bytes((sums[-1], sums_of_sums[-1]))
 
 

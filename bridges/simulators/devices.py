@@ -51,6 +51,9 @@ from tramstream.simulation.ride import Ride
 
 LEAD_NS = S // 5
 """Rides and files begin so long after the links are there."""
+NEVER_NS = 2**63
+HOST_S = 0.2
+"""Hosts are looked for so often."""
 MAX_WAIT_S = 0.05
 """Stop is looked at this often at least."""
 DRAIN_S = 0.5
@@ -182,12 +185,27 @@ def run_simulators(
             terminals.callback(device.terminal.close)
             device.terminal.open()
         tell({"event": "ready", "links": {d.name: str(d.terminal.link) for d in devices}})
+        patience_s = max((each.patience_s for each in vehicle.simulators.values()), default=0.0)
+        _await_hosts(devices, patience_s, stop)
         loop = _Loop(devices, clock, stop, tell)
+        lasts_s = max((each.lasts_s for each in vehicle.simulators.values()), default=0.0)
+        if lasts_s:
+            loop.end_ns = loop.start_ns + round(lasts_s * S)
         if rides and truth is not None:
             loop.follow(rides[0], truth)
         loop.run()
         loop.drain()
     return loop.summary()
+
+
+def _await_hosts(devices: list[Device], patience_s: float, stop: threading.Event) -> None:
+    """Let nothing out until all lines have somebody at their other end, or for so long."""
+    end_s = time.monotonic() + patience_s
+    waiting = devices
+    while waiting and time.monotonic() < end_s and not stop.wait(HOST_S):
+        waiting = [device for device in waiting if not device.terminal.has_host()]
+    if patience_s:
+        stop.wait(HOST_S)  # who has opened a line throws away what was on it
 
 
 Action = Callable[[int], None]
@@ -205,6 +223,7 @@ class _Loop:
         self.stop = stop
         self.tell = tell
         self.start_ns = clock.now_ns() + LEAD_NS
+        self.end_ns = NEVER_NS
         self._agendas = [self._agenda(device) for device in devices]
         self._due: list[tuple[int, int, Action]] = []
         self._progress_ns = self.start_ns
@@ -219,6 +238,8 @@ class _Loop:
     def run(self) -> None:
         while self._due and not self.stop.is_set():
             due_ns, index, action = self._due[0]
+            if due_ns >= self.end_ns:
+                break
             wait_s = (due_ns - self.clock.now_ns()) / S / self.clock.rate
             self._serve(min(max(wait_s, 0.0), MAX_WAIT_S))
             now_ns = self.clock.now_ns()

@@ -11,6 +11,7 @@ import os
 import sys
 import termios
 import tty
+from contextlib import suppress
 from pathlib import Path
 
 from tramstream.errors import ConfigError, DeviceError
@@ -45,6 +46,18 @@ class PseudoTerminal:
         if not self.is_open:
             return 0
         return int.from_bytes(fcntl.ioctl(self._far_fd, termios.FIONREAD, bytes(4)), sys.byteorder)
+
+    def has_host(self) -> bool:
+        """Whether another process has the far end open, as far as this user may look."""
+        if not self.is_open:
+            return False
+        far, own = os.ttyname(self._far_fd), str(os.getpid())
+        for process in Path("/proc").iterdir():
+            if process.name.isdigit() and process.name != own:
+                with suppress(OSError):  # it has ended, or is another user's
+                    if any(os.readlink(each) == far for each in (process / "fd").iterdir()):
+                        return True
+        return False
 
     def open(self) -> None:
         """Plug the device in.

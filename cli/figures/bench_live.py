@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from tramstream.clock import S, VehicleClock
 from tramstream.machine import compilation
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess.run import Rerun, rerun
+from tramstream.supervision import usage as processes
 from tramstream.transport.bus import Envelope, ZenohBus
 from tramstream.transport.ring import Ring
 
@@ -207,7 +207,7 @@ class _Usage:
     def __init__(self, root: int) -> None:
         self._root = root
         self._begin_s = time.monotonic()
-        self._before = {pid: _cpu_s(pid) for pid in _tree(root)}
+        self._before = {pid: processes.cpu_s(pid) for pid in processes.tree(root)}
         self.cpu_percent: dict[str, float] = {}
         self.rss_mb: dict[str, float] = {}
         self.pss_mb: dict[str, float] = {}
@@ -216,47 +216,13 @@ class _Usage:
     def end(self) -> None:
         """Take the second reading."""
         elapsed_s = time.monotonic() - self._begin_s
-        for pid in _tree(self._root):
-            role = "supervisor" if pid == self._root else _role(pid)
-            used_s = _cpu_s(pid) - self._before.get(pid, 0.0)
-            memory = _memory_mb(pid)
+        for pid in processes.tree(self._root):
+            role = processes.role(pid, self._root)
+            used_s = processes.cpu_s(pid) - self._before.get(pid, 0.0)
+            memory = processes.memory_mb(pid)
             for table, value in (
                 (self.cpu_percent, 100.0 * used_s / elapsed_s),
                 (self.rss_mb, memory["Rss"]),
                 (self.pss_mb, memory["Pss"]),
             ):
                 table[role] = table.get(role, 0.0) + value
-
-
-def _role(pid: int) -> str:
-    """A node's name, which it gave itself; the fork server and its tracker are the server."""
-    name = Path(f"/proc/{pid}/comm").read_text().strip()
-    return name.removeprefix("tram-") if name.startswith("tram-") else "server"
-
-
-def _tree(root: int) -> list[int]:
-    """A process and all its descendants."""
-    parents = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            with suppress(OSError):  # gone since
-                status = (entry / "stat").read_text().rsplit(") ", 1)[1].split()
-                parents[int(entry.name)] = int(status[1])
-    found = [root]
-    for pid in found:
-        found += [child for child, parent in parents.items() if parent == pid]
-    return found
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _memory_mb(pid: int) -> dict[str, float]:
-    found = {}
-    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-        name, _, rest = line.partition(":")
-        if name in ("Rss", "Pss"):
-            found[name] = int(rest.split()[0]) / 1024.0
-    return found

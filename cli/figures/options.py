@@ -24,3 +24,5 @@ class Options:
     hours: float | None = None
     frame_hz: float | None = None
     rate_hz: float | None = None
+    pace: float | None = None
+    capture: Path | None = None

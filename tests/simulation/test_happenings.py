@@ -9,7 +9,7 @@ import pytest
 
 from tramstream.errors import ConfigError
 from tramstream.lines.line import built_in_line
-from tramstream.simulation.events import Happenings
+from tramstream.simulation.events import MOST_JUMPS, Happenings
 from tramstream.simulation.ride import Ride
 from tramstream.simulation.scenario import (
     Event,
@@ -97,6 +97,13 @@ def test_chance_jumps_come_as_often_as_asked_and_are_as_large() -> None:
     assert not np.any(size[:, 2])
     lasts = [offset.end_s - offset.start_s for offset in found]
     assert np.mean(lasts) == pytest.approx(4.0, rel=0.25)
+
+
+def test_more_jumps_than_memory_holds_are_refused_before_they_are_drawn() -> None:
+    """As of a stand of thirty years, in which fixes jump three times a minute."""
+    often = 60 * (MOST_JUMPS + 1) / ride().duration_s
+    with pytest.raises(ConfigError, match=r"\$\.gnss\.jumps_per_min"):
+        happenings(gnss=Gnss(jumps_per_min=often))
 
 
 def test_no_chance_jump_is_longer_than_the_longest() -> None:

@@ -9,6 +9,7 @@ import tempfile
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 from fuzzing import Kind, change_archive, change_bytes, change_either, change_text
 from msgspec.structs import replace
 from networks import town
@@ -20,6 +21,8 @@ from tramstream.analysis.evaluate.source import gather
 from tramstream.analysis.report.source import collect
 from tramstream.analysis.tables import captures
 from tramstream.analysis.tables.tables import Tables
+from tramstream.bridges.imu import framer as adis
+from tramstream.bridges.odometer.dbc import Database
 from tramstream.cli.config import config as config_verb
 from tramstream.cli.echo import echo
 from tramstream.cli.export import export
@@ -28,6 +31,7 @@ from tramstream.cli.init import template
 from tramstream.cli.map_info import info as map_info
 from tramstream.cli.recover import recover
 from tramstream.config import Gnss, Imu, Odometer, Wheel
+from tramstream.errors import ConfigError
 from tramstream.lines import geojson, traces
 from tramstream.lines.line import built_in_line
 from tramstream.live import registry
@@ -500,6 +504,108 @@ def use_candump(path: Path) -> None:
     imports.write(fresh(path))
 
 
+DBC_WHOLE = """VERSION ""
+
+NS_ :
+
+BS_:
+
+BU_: ECU DOORS
+
+BO_ 256 WHEEL_SPEEDS: 8 ECU
+ SG_ WHEEL_SPEED_FL : 0|16@1+ (0.01,0) [0|655] "km/h" ECU
+ SG_ WHEEL_SPEED_FR : 23|16@0- (0.01,-67.67) [0|250] "KM/H" ECU
+
+BO_ 257 PAGES: 8 ECU
+ SG_ PAGE M : 0|4@1+ (1,0) [0|15] "" ECU
+ SG_ SUBPAGE m1M : 4|4@1+ (1,0) [0|15] "" ECU
+ SG_ WHEEL_PULSES m2 : 8|32@1+ (1,0) [0|0] "" ECU
+ SG_ WHEEL_DEEP m3 : 8|16@1+ (0.1,0) [0|0] "m/s" ECU
+
+BO_ 2566844926 CCVS: 8 ECU
+ SG_ WHEEL_BASED_SPEED : 8|16@1+ (0.00390625,0) [0|250.996] "km/h" ECU
+
+BO_ 258 FLOATS: 16 ECU
+ SG_ WHEEL_SINGLE : 0|32@1- (1,0) [0|0] "m/s" ECU
+ SG_ WHEEL_DOUBLE : 64|64@1- (1,0) [0|0] "m/s" ECU
+
+CM_ SG_ 256 WHEEL_SPEED_FL "of the rim";
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "VFrameFormat" BO_ 2566844926 2;
+VAL_ 256 WHEEL_SPEED_FL 65535 "SNA" 65534 "Error" ;
+SIG_VALTYPE_ 258 WHEEL_SINGLE : 1;
+SIG_VALTYPE_ 258 WHEEL_DOUBLE : 2;
+SG_MUL_VAL_ 257 WHEEL_DEEP SUBPAGE 1-1, 3-5;
+"""
+CAN_FRAMES = (
+    *(bytes(range(first, first + n)) for first in (0, 1, 0x70, 0xF0) for n in (0, 1, 8, 16)),
+    *(b"\xff" * 8, b"\x21\x7f" * 32),
+)
+
+
+def dbcs(folder: Path) -> list[bytes]:
+    rows = [
+        f"({1000 + k / 50:.6f}) can0 {name}#{struct.pack('<HHHH', k, 1000 + k, 65000 + k, k).hex()}"
+        for k in range(20)
+        for name in ("100", "101", "102", "18FEF17E")
+    ]
+    (folder / "bus.candump").write_text("\n".join(rows) + "\n")
+    return [DBC_WHOLE.encode(), DBC.encode()]
+
+
+def use_dbc(path: Path) -> None:
+    """As the odometer's bridge and `import --can` do: every signal, in frames of all lengths."""
+    database = Database(str(path), "--dbc")
+    for message, signal in database.units():
+        try:
+            _, field = database.find(message, signal, "$.odometer.wheels.x")
+        except ConfigError:
+            continue
+        for data in CAN_FRAMES:
+            field.read(data, 1 / 3.6)
+            field.read_counter(data)
+    imports = captures.Imports(None, "", "ADIS16465-1")
+    imports.can(path.parent / "bus.candump", path, [])
+    imports.write(fresh(path))
+
+
+def imu(folder: Path) -> list[bytes]:
+    """A tenth of a second of frames, and its stamps and numbers across their wrap."""
+    return [_imu_frames(0, 0), _imu_frames(2**32 - 50_000, 2**32 - 90)]
+
+
+def _imu_frames(stamp_us: int, first: int, count: int = 200) -> bytes:
+    number = np.arange(count)
+    still = np.tile([0, 0, 3900], (count, 1))
+    return adis.encode(stamp_us + 500 * number, first + number, still % 7, still)
+
+
+def change_imu(data: bytes, chance: random.Random) -> bytes:
+    """Bytes, or frames with good checksums that say something else."""
+    if chance.random() < 0.4:
+        return change_bytes(data, chance)
+    made, stamp_us, number = b"", chance.choice((0, 2**32 - 5000)), chance.randrange(1 << 32)
+    for _ in range(chance.choice((1, 2, 5))):
+        count = chance.choice((0, 1, 2, 19, 20, 21, 100))
+        made += _imu_frames(stamp_us, number, count)
+        stamp_us += 500 * count + chance.choice((0, -500, 1, 500, 10_000, 3_000_000, 1 << 31))
+        number += count + chance.choice((0, 0, 1, -1, 7, 2000, 1 << 31))
+    if chance.random() < 0.5:
+        at = chance.randrange(max(1, len(made)))
+        spoilt = adis.encode([chance.randrange(1 << 32)], [chance.randrange(1 << 32)],
+                             [[chance.choice((-32768, 32767, 0))] * 3], [[32767, -32768, 0]],
+                             chance.choice((-32768, 32767)), chance.randrange(1 << 16))  # fmt: skip
+        made = made[:at] + spoilt + made[at:]
+    return made if chance.random() < 0.7 else change_bytes(made, chance)
+
+
+def use_imu(path: Path) -> None:
+    imports = captures.Imports(None, "", "ADIS16465-1")
+    imports.imu(path)
+    imports.write(fresh(path))
+
+
 KINDS = (
     Kind("configuration", ".toml", configurations, use_configuration, change_text, 400),
     Kind("mapping", ".toml", mappings, use_mapping, change_text, 300),
@@ -513,4 +619,6 @@ KINDS = (
     Kind("nmea", ".nmea", nmea, use_receiver, change_nmea, 150),
     Kind("ubx", ".ubx", ubx, use_receiver, change_ubx, 150),
     Kind("candump", ".candump", candump, use_candump, change_either, 150),
+    Kind("dbc", ".dbc", dbcs, use_dbc, change_either, 150),
+    Kind("imu", ".bin", imu, use_imu, change_imu, 150),
 )

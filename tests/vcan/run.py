@@ -10,7 +10,8 @@ very interpreter and this very working tree. The guest has
 
 Needs `qemu-system-x86`, `busybox-static` and `iproute2`; the kernel's package comes by `apt-get
 download` once, is kept in the cache folder and is never installed. Whatever follows the options
-goes to pytest in the guest: `run.py -k flood -s`. The exit status is pytest's, 97 if the guest
+goes to pytest in the guest: `run.py -k flood -s`. A machine with much else to do wants
+`--limit-s 3600`. The exit status is pytest's, 97 if the guest
 never got so far, 98 if something is absent here.
 """
 
@@ -249,7 +250,7 @@ def boot(kernel: Path, initrd: Path, qemu: str, limit_s: float = BOOT_AND_TESTS_
     return verdict
 
 
-def run(arguments: list[str], kernel: Path) -> int:
+def run(arguments: list[str], kernel: Path, limit_s: float = BOOT_AND_TESTS_S) -> int:
     """Unpack, build and boot in a temporary folder; the guest's verdict."""
     programs = tools()
     found = importlib.util.find_spec("tramstream")
@@ -262,16 +263,20 @@ def run(arguments: list[str], kernel: Path) -> int:
         initrd = folder / "initrd"
         initrd.write_bytes(first_file_system(folder / "deb", programs["busybox"], arguments))
         image = next((folder / "deb" / "boot").glob("vmlinuz-*"))
-        return boot(image, initrd, programs[QEMU])
+        return boot(image, initrd, programs[QEMU], limit_s)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Test SocketCAN on a real kernel, in qemu.")
     parser.add_argument("--kernel", type=Path, help="kernel package (.deb), instead of apt's")
+    parser.add_argument(
+        "--limit-s", type=float, default=BOOT_AND_TESTS_S, help="end the guest after so long"
+    )
     options, arguments = parser.parse_known_args()
     try:
         tools()
-        return run(arguments, options.kernel or kernel_package(cache_folder()))
+        kernel = options.kernel or kernel_package(cache_folder())
+        return run(arguments, kernel, options.limit_s)
     except AbsentError as error:
         print(f"vcan: {error}", file=sys.stderr)
         return ABSENT

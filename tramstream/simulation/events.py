@@ -28,6 +28,8 @@ from tramstream.simulation.scenario import Gnss, Scenario, Wheels
 
 Array = NDArray[np.float64]
 
+MOST_JUMPS = 100_000
+"""Of the fixes in a ride: one a second for a day. They are all drawn before the ride begins."""
 _SLIDE_S = (0.4, 2.0)
 """Shortest and longest slide or slip of chance."""
 _SLIDE_FACTORS = (0.0, 0.95)
@@ -204,7 +206,14 @@ class Happenings:
 
 def _multipath(gnss: Gnss, duration_s: float, rng: Generator) -> list[Offset]:
     """Jumps of the fixes: a Poisson process, durations exponential, offsets normal but bounded."""
-    count = int(rng.poisson(gnss.jumps_per_min / 60 * duration_s))
+    expected = gnss.jumps_per_min / 60 * duration_s
+    if expected > MOST_JUMPS:
+        raise ConfigError(
+            f"$.gnss.jumps_per_min: {expected:.3g} jumps in a ride of {duration_s:.3g} s, there "
+            f"may be {MOST_JUMPS}",
+            cure="let fixes jump more rarely, or the ride be shorter (dwells, breaks)",
+        )
+    count = int(rng.poisson(expected))
     starts = np.sort(rng.uniform(0, duration_s, count)).tolist()
     lasts = rng.exponential(gnss.jump_duration_s, count).tolist()
     shifts = rng.standard_normal((count, 2)) * gnss.jump_std_m

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
+from tramstream.bridges.gnss import framer as framer_module
+from tramstream.bridges.gnss.frame_checks import Window, crc24q
 from tramstream.bridges.gnss.framer import (
     NMEA,
     NOISE,
@@ -20,7 +22,6 @@ from tramstream.bridges.gnss.framer import (
     Frame,
     Framer,
     Rejected,
-    crc24q,
     nmea_frame,
     rtcm3_frame,
     ubx_frame,
@@ -47,6 +48,12 @@ PVT = ubx_frame(NAV_PVT, bytes(range(92)))
 RAWX = ubx_frame(RXM_RAWX, bytes(11) + b"\x03" + bytes(4) + bytes(range(96)))
 CORRECTION = rtcm3_frame(bytes([0x43, 0x50, *range(40)]))
 
+
+def long_header(length: int) -> bytes:
+    """Of a message without a table, which may be of any length."""
+    return b"\xb5\x62" + UNKNOWN.to_bytes(2, "big") + length.to_bytes(2, "little")
+
+
 frames = st.one_of(
     st.builds(ubx_frame, st.sampled_from([UNKNOWN, 0x0122, MON_PATCH]), st.binary(max_size=60)),
     st.sampled_from([PVT, GGA, RAWX, CORRECTION]),
@@ -63,7 +70,17 @@ dirt = st.one_of(
         frames, st.integers(0, 200), st.integers(0, 7),
     ),
 )  # fmt: skip
-streams = st.lists(st.one_of(frames, dirt), max_size=12).map(b"".join)
+several = st.lists(frames, max_size=5).map(b"".join)
+around = st.one_of(  # frames inside of a frame, and behind a start that claims to hold them
+    st.builds(ubx_frame, st.just(UNKNOWN), several),
+    st.builds(lambda inner: rtcm3_frame(inner[:1023]), several),
+    st.builds(lambda inner: flip(ubx_frame(UNKNOWN, inner), 8 * len(inner) + 55), several),
+    st.builds(lambda inner: ubx_frame(UNKNOWN, inner + GGA.rstrip()), several),
+    st.sampled_from(
+        [long_header(n) for n in (40, 100, 300, 8192)] + [b"\xd3\x00\x64", b"\xd3\x03\xff"]
+    ),
+)
+streams = st.lists(st.one_of(frames, dirt, around), max_size=12).map(b"".join)
 
 
 def flip(data: bytes, bit: int) -> bytes:
@@ -192,6 +209,62 @@ def test_frame_hidden_in_a_frame_that_never_ends_is_delivered_at_the_end() -> No
     assert framer.feed(header + PVT) == []
     out = framer.flush()
     assert out == [Rejected("UBX truncated", 0, 6), Frame(UBX, NAV_PVT, PVT, 105)]
+
+
+CHAINS = ([PVT, PVT, PVT], [GGA, GGA, GGA], [PVT, GGA, CORRECTION], [GGA, CORRECTION, RAWX])
+LONG_STARTS = (long_header(8192), b"\xd3\x03\xff", long_header(8192) + b"\xd3\x03\xff")
+
+
+@pytest.mark.parametrize("chain", CHAINS, ids=("UBX", "NMEA", "mixed", "RTCM3 inside"))
+@pytest.mark.parametrize("start", LONG_STARTS, ids=("UBX", "RTCM3", "one inside the other"))
+def test_stream_goes_on_behind_a_long_false_start_with_the_third_whole_frame(
+    start: bytes, chain: list[bytes]
+) -> None:
+    """Not after the 8 kB that it claims, for which a receiver that says little needs a minute."""
+    framer = Framer()
+    found = framer.feed(start)
+    for frame in chain[:2]:
+        found += framer.feed(frame)
+    assert found == []
+    found += framer.feed(chain[2])
+    found += framer.feed(PVT)
+    assert [item.raw for item in found if isinstance(item, Frame)] == [*chain, PVT]
+    assert framer.bytes_rejected == len(start)
+
+
+def test_long_false_start_is_the_same_in_a_file_as_it_was_live() -> None:
+    """Also where a check value would agree at its end, which nobody has waited for."""
+    for inner in (3 * PVT, 3 * GGA, PVT + 2 * GGA + b"\x01\x02"):
+        outer = ubx_frame(UNKNOWN, inner)
+        live = run([bytes([byte]) for byte in outer + PVT])
+        assert live == run([outer + PVT]) == run([outer, PVT])
+        assert live[0] == Rejected("UBX overtaken", 0, 6)
+        assert len([item for item in live if isinstance(item, Frame)]) == 4
+
+
+class Counting(Window):
+    """Counts the places at which it looks for a chain."""
+
+    judged = 0
+
+    def end_of_chain(self, at: int) -> tuple[int, int]:
+        Counting.judged += 1
+        return super().end_of_chain(at)
+
+
+@pytest.mark.parametrize("step", [16, 100_000])
+@pytest.mark.parametrize("inner", [b"", b"\xb5\x62\x02\x13\x84\x00", b"$A*41"])
+def test_nested_long_starts_are_looked_into_a_few_times_each(
+    inner: bytes, step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many claim to hold all the others, and however they come: that is linear time."""
+    monkeypatch.setattr(framer_module, "Window", Counting)
+    monkeypatch.setattr(Counting, "judged", 0)
+    hostile = 2000 * (long_header(8184) + inner)
+    framer = Framer()
+    for at in range(0, len(hostile), step):
+        framer.feed(hostile[at : at + step])
+    assert 0 < Counting.judged <= 4 * 4000
 
 
 def test_valid_outer_frame_wins_over_what_lies_inside() -> None:

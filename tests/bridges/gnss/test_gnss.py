@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import receivers
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -836,10 +837,10 @@ def test_week_that_has_overflown_is_known_by_a_clock_that_knows_the_year() -> No
         "GGA,{t},5000.0,N,01400.0,E,1,12,1.0,2.0,M,4.0,M,,",
     )
     for arrival_ns, behind in ((now_ns, 0), (5 * S, ROLLOVER_NS)):  # of one that nobody has set
-        (sample,) = on(
-            GnssBridge(VEHICLE).step(raw(solution(START_NS - ROLLOVER_NS), arrival_ns)),
-            keys.GNSS_FIX,
-        )
+        bridge = GnssBridge(VEHICLE)
+        old = receivers.sol(START_NS - ROLLOVER_NS)
+        out = bridge.step(raw(old, arrival_ns)) + bridge.finish()
+        (sample,) = on(out, keys.GNSS_FIX)
         assert sample.message.gps_time_ns == START_NS - behind
         utc = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(
             seconds=(START_NS - ROLLOVER_NS) // S - LEAP_S
@@ -850,6 +851,36 @@ def test_week_that_has_overflown_is_known_by_a_clock_that_knows_the_year() -> No
         out = bridge.step(raw(data, arrival_ns)) + bridge.finish()
         (sample,) = on(out, keys.GNSS_FIX)
         assert sample.message.utc_ns == START_NS - behind + (GPS_EPOCH_UNIX_S - LEAP_S) * S
+
+
+def test_week_that_has_overflown_is_known_by_what_the_receiver_sends() -> None:
+    """No leap seconds, and a clock that nobody has set: NAV-PVT is no older than u-blox 7."""
+    told_ns = START_NS - ROLLOVER_NS
+    time_gps = {"week": told_ns // WEEK_NS, "iTOW": told_ns % WEEK_NS // MS, "valid": 3}
+    data = solution(told_ns) + ubx.encode("NAV-TIMEGPS", time_gps) + solution(told_ns + S)
+    out = GnssBridge(VEHICLE).step(raw(data, 5 * S))
+    fixes = [sample.message for sample in on(out, keys.GNSS_FIX)]
+    assert [fix.gps_time_ns for fix in fixes] == [START_NS, START_NS + S]
+    assert fixes[0].utc_ns == START_NS + (GPS_EPOCH_UNIX_S - LEAP_S) * S
+    (time,) = on(out, keys.GNSS_TIME)
+    assert time.message.gps_time_ns == START_NS
+
+
+def test_date_at_which_there_were_such_receivers_is_believed() -> None:
+    """A capture of 2012 that is played on a computer of today."""
+    then_ns = utc_ns(2012, 6, 1, 0, 0, 0, 0) - GPS_EPOCH_UNIX_S * S
+    (sample,) = on(GnssBridge(VEHICLE).step(raw(solution(then_ns), BOOT_NS)), keys.GNSS_FIX)
+    assert sample.message.gps_time_ns == then_ns
+
+
+def test_week_that_has_overflown_is_the_same_in_every_protocol_of_the_receiver() -> None:
+    """Its sentences tell the date that its solutions tell, and are moved alike."""
+    told_ns = START_NS - ROLLOVER_NS
+    data = solution(told_ns)
+    utc = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(seconds=told_ns // S - LEAP_S)
+    time, date = utc.strftime("%H%M%S.00"), utc.strftime("%d%m%y")
+    data += nmea_frame(f"GNRMC,{time},A,5000.0,N,01400.0,E,0.0,,{date},,,A")
+    assert {gps_ns // (60 * S) for _, gps_ns in epoch_times(data)} == {START_NS // (60 * S)}
 
 
 def test_leap_second_more_is_news_and_no_rollover() -> None:

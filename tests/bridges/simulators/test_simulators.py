@@ -10,7 +10,9 @@ from __future__ import annotations
 import importlib
 import os
 import select
+import subprocess
 import threading
+import time
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -20,7 +22,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from live import HANG_S, until
+from live import HANG_S, PAUSE_S, until
 
 from tramstream import config, config_file
 from tramstream.bridges.gnss import ubx
@@ -302,3 +304,48 @@ def test_terminal_drops_what_has_no_room_instead_of_waiting(tmp_path: Path) -> N
         terminal.close()
     assert not terminal.is_open
     assert not (tmp_path / "line").is_symlink()
+
+
+STILL = '[simulators.imu]\nkind = "imu_still"\nlink = "tram.imu"\nseed = 1\n'
+
+
+@pytest.mark.live
+def test_patient_devices_say_nothing_before_another_process_has_opened_them(
+    tmp_path: Path,
+) -> None:
+    """The first byte they ever send is what it reads first, however late it comes."""
+    link = tmp_path / "tram.imu"
+    with Running(vehicle_of(tmp_path, STILL + "patience_s = 1e6\n"), rate=100) as running:
+        with Reader(link):  # of the same process: it may be the simulator's own
+            time.sleep(10 * PAUSE_S)
+        assert [event["event"] for event in running.events] == ["ready"]
+        opened_ns = running.clock.now_ns()
+        host = subprocess.Popen([*HOST, str(link)], stdout=subprocess.PIPE)
+        try:
+            assert host.stdout is not None
+            heard = host.stdout.read(10 * FRAME_LENGTH)
+        finally:
+            host.kill()
+            host.communicate()
+    assert AdisFramer().feed(heard).frames["sequence"].tolist() == list(range(10))
+    assert next(e for e in running.events if e["event"] == "progress")["stamp_ns"] > opened_ns
+
+
+HOST = (
+    "python3",
+    "-c",
+    "import os, sys\n"
+    "line = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
+    "while True: os.write(1, os.read(line, 4096))\n",
+)
+"""Opens a line and passes on what comes."""
+
+
+@pytest.mark.live
+def test_devices_are_pulled_out_when_their_time_is_over(tmp_path: Path) -> None:
+    with Running(vehicle_of(tmp_path, STILL + "lasts_s = 2.0\n"), rate=10) as running:
+        running.join()
+    assert not (tmp_path / "tram.imu").is_symlink()
+    tally = running.result["imu"]
+    made = tally["sent"].get("samples", 0) + tally["overrun"].get("samples", 0)
+    assert 399 <= made <= 401  # 200 a second; the device's clock is a little fast
