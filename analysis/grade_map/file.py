@@ -44,7 +44,7 @@ COLUMNS = {
     "first_utc_ns": "int64",
     "last_utc_ns": "int64",
 }
-"""Beside `track` and `by_ride`; `track_m` is the track's length. Along the track as drawn; slopes are
+"""Beside `track` and `by_ride`; `track_m` is the length of the track. Along it as drawn; slopes are
 uphill positive along it."""
 PASSES = {
     "ride": "int32",

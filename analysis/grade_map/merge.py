@@ -55,6 +55,8 @@ OTHERS = 2
 JUDGED_CELLS, JUDGED_SHARE = 10, 0.3
 """Least number of such cells, and least share of a ride's, for it to be judged at all."""
 ROUNDS = 8
+MAD_TO_STD = 1.4826
+"""Of a normal distribution's median absolute deviation."""
 _CHUNK = 4096
 """Cells, or groups, that are taken together."""
 
@@ -236,7 +238,7 @@ def _good_passes(rows: Rows, count: int) -> Flags:
     left = np.abs(off - own[rows.ride])
     crowd = np.bincount(rows.cell, minlength=count)[rows.cell] > OTHERS
     # A ride that scatters as a whole is judged as a whole.
-    usual = medians(rows.ride, left, rides)[rows.ride] * 1.4826
+    usual = medians(rows.ride, left, rides)[rows.ride] * MAD_TO_STD
     limit = np.maximum(PASS_LIMIT_STDS * np.maximum(rows.std_rad, usual), PASS_LEAST_RAD)
     good: Flags = ~(crowd & (left > limit))
     return good
@@ -248,11 +250,11 @@ def _judged_by_medians(rows: Rows, good: Flags, count: int, rides: int) -> list[
     at = good & (passes > OTHERS)[rows.cell]
     off = (rows.grade_rad - middle[rows.cell]) * rows.sign
     bias = medians(rows.ride[at], off[at], rides)
+    left = np.abs(off - bias[rows.ride]) / rows.std_rad
+    scatter = MAD_TO_STD * medians(rows.ride[at], left[at], rides)
     enough = _enough(rows, good, at, rides)
-    return [
-        _reason(bias[r], np.nan, 1.0) if enough[r] and np.isfinite(bias[r]) else ""
-        for r in range(rides)
-    ]
+    usual = _usual(np.where(enough, scatter, np.nan))
+    return [_reason(bias[r], scatter[r], usual) if enough[r] else "" for r in range(rides)]
 
 
 def _judged(
@@ -278,10 +280,16 @@ def _judged(
         scatter = np.sqrt(np.bincount(rows.ride[at], square[at], rides) / (number - 1))
     enough = _enough(rows, good, at, rides)
     scatter = np.where(enough, scatter, np.nan)
-    usual = max(float(np.nanmedian(scatter)), 1.0) if np.isfinite(scatter).any() else 1.0
+    usual = _usual(scatter)
     reasons = [_reason(bias[r], scatter[r], usual) if enough[r] else "" for r in range(rides)]
     known = np.isfinite(bias)
     return reasons, np.where(known, bias, solution.bias), scatter
+
+
+def _usual(scatter: Array) -> float:
+    """Scatter of a ride as rides are; what they state where nobody can tell."""
+    known = scatter[np.isfinite(scatter)]
+    return max(float(np.median(known)), 1.0) if len(known) else 1.0
 
 
 def _enough(rows: Rows, good: Flags, at: Flags, rides: int) -> Flags:

@@ -171,9 +171,7 @@ def _collected(cells: Cells, states: StateSeries, placed: _Placed, slope: Slope)
     weight, middle = step[good][finite], middle[finite]
     found, group = np.unique(key, return_inverse=True)
     way = np.bincount(group, weight, len(found))
-    sums = np.column_stack(
-        [np.bincount(group, weight * column, len(found)) for column in middle.T]
-    ).reshape(len(found), -1)
+    sums = np.column_stack([np.bincount(group, weight * column, len(found)) for column in middle.T])
     with np.errstate(invalid="ignore"):
         grade, variance, probability, height, height_variance = (sums / way[:, None]).T
     cell, sign = found // 2, np.where(found % 2 == 1, 1, -1)

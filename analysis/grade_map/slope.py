@@ -4,9 +4,9 @@ A filter's pitch is that of the body, and the body nods on its springs against t
 
     −θ = α + κ f,        f = v̇ + g sin α        κ: nod, rad per m/s², nose up where it is pushed
 
-(theory: `tramstream.simulation.body`). κ is not known. Within a second a tram that brakes, stops
-or sets off changes f by 1 m/s² and α hardly at all, so κ is the regression of changes of −θ on
-those of f, changes of α being noise that grows with the way.
+(`tramstream.simulation.body`). κ is not known. Within a second a tram that brakes, stops or sets
+off changes v̇ by 1 m/s² and α hardly at all, so κ is the regression of changes of −θ on those of v̇
+(not of f, which has the slope in it), changes of α being noise that grows with the way.
 
 `slope_of` is the one place that knows where the slope comes from.
 """
@@ -67,11 +67,10 @@ def nod_of(states: StateSeries) -> Nod:
     step_s = float(np.median(np.diff(states.stamp_ns))) / S
     lag = max(round(LAG_S / step_s), 1)
     pitch, acceleration = states.attitude_rad[:, 1], states.acceleration_mps2
-    force = acceleration - GRAVITY_MPS2 * np.sin(pitch)
     steps = np.abs(states.speed_mps[1:]) * np.diff(states.stamp_ns) / S
     way = np.concatenate([[0.0], np.cumsum(steps)])
     gone = way[lag:] - way[:-lag]
-    change, rise = force[lag:] - force[:-lag], -(pitch[lag:] - pitch[:-lag])
+    change, rise = acceleration[lag:] - acceleration[:-lag], -(pitch[lag:] - pitch[:-lag])
     fits = np.isfinite(change + rise) & (gone > STILL_M)
     fits &= states.stamp_ns[lag:] - states.stamp_ns[:-lag] < 2 * LAG_S * S
     # Rows overlap `lag` times: so many fewer are independent.
