@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from tramstream.analysis.grade_map.cells import Cells, Integers, cells_of, digest_of, plan_at
 from tramstream.analysis.grade_map.heights import Priors, raise_heights
-from tramstream.analysis.grade_map.merge import Merged, Rows, grouped, merge
+from tramstream.analysis.grade_map.merge import Merged, merge
 from tramstream.analysis.grade_map.passes import Passes, Ride
+from tramstream.analysis.grade_map.verdicts import Rows, grouped
 from tramstream.errors import ConfigError
 from tramstream.tracks.network import Array, Network
 
@@ -137,7 +138,7 @@ def assemble(network: Network, rides: Sequence[Ride], priors: Priors) -> GradeMa
     )
     merged = merge(rows, [ride.vehicle for ride in rides])
     measured = {"grade_rad": merged.grade_rad, "std_rad": merged.std_rad}
-    index = np.searchsorted(merged.cell, rows.cell)
+    index = merged.row_cell
     measured |= _heights(table, merged.row_used, index, len(merged.cell))
     raised = raise_heights(network, cells, merged.cell, measured, priors)
     known = merged.passes > 0

@@ -15,8 +15,8 @@ from networks import town
 from tramstream.analysis.grade_map import file
 from tramstream.analysis.grade_map.assemble import GradeMap, assemble, rides_of
 from tramstream.analysis.grade_map.heights import Priors
-from tramstream.analysis.grade_map.merge import RIDE_BIAS_STD_RAD, VEHICLE_BIAS_STD_RAD, medians
 from tramstream.analysis.grade_map.passes import Ride
+from tramstream.analysis.grade_map.verdicts import RIDE_BIAS_STD_RAD, VEHICLE_BIAS_STD_RAD, medians
 from tramstream.errors import ConfigError
 
 NOTHING = Priors((), 0.0)
