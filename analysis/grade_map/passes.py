@@ -95,7 +95,11 @@ class Way(NamedTuple):
 
 
 def passes_of(
-    network: Network, cells: Cells, states: StateSeries, places: Sequence[Place]
+    network: Network,
+    cells: Cells,
+    states: StateSeries,
+    places: Sequence[Place],
+    pivot_m: float = 0.0,
 ) -> tuple[Passes, Way, Slope]:
     """Put the slopes of a ride on the cells of a network.
 
@@ -105,9 +109,12 @@ def passes_of(
         Smoothed.
     places : sequence of Place
         Of the match, at stamps of states.
+    pivot_m : float
+        So far behind the vehicle's origin is the track whose slope the body has: midway between its
+        bogies.
     """
     slope = slope_of(states)
-    placed = _placed(network, states, places)
+    placed = _behind(network, _placed(network, states, places), pivot_m)
     gone = np.abs(states.speed_mps[1:] + states.speed_mps[:-1]) / 2 * np.diff(states.stamp_ns) / S
     gone[np.diff(states.stamp_ns) > LONGEST_STEP_NS] = 0.0
     way = Way(
@@ -146,6 +153,14 @@ def _placed(network: Network, states: StateSeries, places: Sequence[Place]) -> _
     sure &= along <= MOST_ALONG_STD_M**2
     track = np.where(sure & ~off & ~contradicts, track, -1)
     return _Placed(track, drawn, sign, probability, off, contradicts)
+
+
+def _behind(network: Network, placed: _Placed, pivot_m: float) -> _Placed:
+    """Move places to the pivot; the first metres of a track are then still the one before."""
+    drawn = placed.drawn_m - placed.sign * pivot_m
+    length = network.length_m[np.maximum(placed.track, 0)]
+    inside = (drawn >= 0.0) & (drawn <= length)
+    return placed._replace(drawn_m=drawn, track=np.where(inside, placed.track, -1))
 
 
 def _collected(cells: Cells, states: StateSeries, placed: _Placed, slope: Slope) -> Passes:

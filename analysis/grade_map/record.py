@@ -102,7 +102,9 @@ def _ride(record: Record, path: Path, digest: str, level_net: Path) -> Ride:
     settings = vehicle.map if vehicle is not None and vehicle.map is not None else None
     settings = settings or Map(network=str(level_net))
     path_found = find_path(network, settings, estimates_of(states, level))
-    passes, way, slope = passes_of(network, cells_of(network), states, path_found.places)
+    pivot_m = vehicle.ekf.pivot_m if vehicle is not None else 0.0
+    places = path_found.places
+    passes, way, slope = passes_of(network, cells_of(network), states, places, pivot_m)
     if not len(passes.cell):
         raise RecordError(f"{path}: is on no track of this network for sure; is it this city's?")
     start_ns = int(states.stamp_ns[0]) + offset_ns if offset_ns else 0
