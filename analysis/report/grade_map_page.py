@@ -18,7 +18,7 @@ from bokeh.models import (
     ResetTool,
     WheelZoomTool,
 )
-from bokeh.palettes import diverging_palette
+from bokeh.palettes import interp_palette
 
 from tramstream.analysis.grade_map.assemble import GradeMap
 from tramstream.analysis.grade_map.summary import (
@@ -43,6 +43,8 @@ from tramstream.analysis.report.page import Page
 from tramstream.geodesy import LocalLevel
 
 HEIGHT, PROFILE_HEIGHT = 480, 230
+COLOURS = (FILTER, "#dddddd", BAD)
+"""Down, level, up."""
 GAP_M = 12.0
 """Cells farther apart along a profile are not joined by a line."""
 DRAWN = 12
@@ -97,9 +99,8 @@ def _beside(made: GradeMap, profile: Profile) -> list[Any]:
     grade = percent(sign * columns["grade_rad"][rows])
     spread = 2 * std_percent(columns["grade_rad"][rows], columns["grade_std_rad"][rows])
     begin, end = _plan(made, rows)
-    mapper = LinearColorMapper(
-        diverging_palette([FILTER, "#dddddd"], ["#dddddd", BAD], 41), *_bounds(grade)
-    )
+    low, high = _bounds(grade)
+    mapper = LinearColorMapper(palette=interp_palette(COLOURS, 41), low=low, high=high)
     drawn = {
         "east": [[a, b] for a, b in zip(_cm(begin[:, 0]), _cm(end[:, 0]), strict=True)],
         "north": [[a, b] for a, b in zip(_cm(begin[:, 1]), _cm(end[:, 1]), strict=True)],

@@ -9,6 +9,7 @@ import tempfile
 from itertools import islice
 from pathlib import Path
 
+from fuzz_grades import GRADE_KINDS
 from fuzzing import Kind, change_archive, change_bytes, change_either, change_text
 from msgspec.structs import replace
 from networks import town
@@ -513,4 +514,5 @@ KINDS = (
     Kind("nmea", ".nmea", nmea, use_receiver, change_nmea, 150),
     Kind("ubx", ".ubx", ubx, use_receiver, change_ubx, 150),
     Kind("candump", ".candump", candump, use_candump, change_either, 150),
+    *GRADE_KINDS,
 )

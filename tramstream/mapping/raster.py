@@ -42,22 +42,34 @@ class Raster:
         return FINE_STD_M if self.pixel_m < FINE_PIXEL_M else COARSE_STD_M
 
     def at(self, latitude_rad: Array, longitude_rad: Array) -> Array:
-        """Height by bilinear interpolation, m; NaN outside and beside voids."""
+        """Height by bilinear interpolation, m; NaN outside and beside voids.
+
+        Raises
+        ------
+        ConfigError
+            If the file is damaged where it is read.
+        """
         rasterio = _rasterio()
-        with rasterio.open(self.path) as data:
-            column, row = _pixels(rasterio, data, latitude_rad, longitude_rad)
-            # Between middles of pixels; the outer half of those at the rim is outside.
-            found = np.full(len(row), np.nan)
-            inside = (row >= 0) & (column >= 0) & (row <= data.height - 1)
-            inside &= column <= data.width - 1
-            i = np.clip(np.floor(np.where(inside, row, 0)), 0, max(data.height - 2, 0)).astype(int)
-            j = np.clip(np.floor(np.where(inside, column, 0)), 0, max(data.width - 2, 0))
-            j = j.astype(int)
-            blocks = (i // BLOCK) * (data.width // BLOCK + 1) + j // BLOCK
-            for block in np.unique(blocks[inside]):
-                here = np.flatnonzero(inside & (blocks == block))
-                found[here] = _in_block(rasterio, data, (i[here], j[here], row[here], column[here]))
-        return found
+        try:
+            with rasterio.open(self.path) as data:
+                return _heights(rasterio, data, latitude_rad, longitude_rad)
+        except _damages(rasterio) as error:
+            raise _no_raster(self.path) from error
+
+
+def _heights(rasterio: Any, data: Any, latitude_rad: Array, longitude_rad: Array) -> Array:
+    """See `Raster.at`."""
+    column, row = _pixels(rasterio, data, latitude_rad, longitude_rad)
+    # Between middles of pixels; the outer half of those at the rim is outside.
+    inside = (row >= 0) & (column >= 0) & (row <= data.height - 1) & (column <= data.width - 1)
+    i = np.clip(np.floor(np.where(inside, row, 0)), 0, data.height - 2).astype(int)
+    j = np.clip(np.floor(np.where(inside, column, 0)), 0, data.width - 2).astype(int)
+    blocks = (i // BLOCK) * (data.width // BLOCK + 1) + j // BLOCK
+    found = np.full(len(row), np.nan)
+    for block in np.unique(blocks[inside]):
+        here = np.flatnonzero(inside & (blocks == block))
+        found[here] = _in_block(rasterio, data, (i[here], j[here], row[here], column[here]))
+    return found
 
 
 def read(path: Path) -> Raster:
@@ -83,8 +95,23 @@ def read(path: Path) -> Raster:
             size = math.sqrt(abs(data.transform.a * data.transform.e - _shear(data.transform)))
             metres = 111_000.0 if data.crs.is_geographic else data.crs.linear_units_factor[1]
             return Raster(path, size * metres)
-    except rasterio.errors.RasterioError as error:
-        raise ConfigError(f"{path}: is no raster with heights, or a damaged one") from error
+    except _damages(rasterio) as error:
+        raise _no_raster(path) from error
+
+
+def _damages(rasterio: Any) -> tuple[type[Exception], ...]:
+    """What the package raises for files that are none."""
+    return (
+        rasterio.errors.RasterioError,
+        rasterio.errors.RasterioIOError,
+        rasterio._err.CPLE_BaseError,
+        ValueError,
+        OSError,
+    )
+
+
+def _no_raster(path: Path) -> ConfigError:
+    return ConfigError(f"{path}: is no raster with heights, or a damaged one")
 
 
 def _shear(transform: Any) -> float:
