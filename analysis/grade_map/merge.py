@@ -5,9 +5,13 @@ A ride r says of a cell c, on which its x axis points along the track as drawn (
 
     y = g_c + d b_r + ε,        ε ~ N(0, σ²),   b_r ~ N(0, σ_b²) + (one of its vehicle) N(0, σ_v²)
 
-σ is the smoother's; b is what is wrong all along the ride (mounting, accelerometer) and turns its
-sign with the vehicle, so that rides both ways tell it apart from the slope. One least squares for
-all of it: with w = 1/σ², W_c = Σ w, A_rc = Σ w d and z_c = Σ w y / W_c,
+b is what is wrong all along the ride (accelerometer, mounting) and turns its sign with the vehicle,
+so that rides both ways tell it apart from the slope. A smoother states the deviation s_c of both
+together. Most of its error is the accelerometer's bias, which heights tell to some tenths of a per
+cent in a ride of minutes: so all of it that can be the same all along the ride is taken to be,
+σ_b = the least s_c (tenth of the cells), and the rest is σ² = s_c² − σ_b². Cells that took σ_b for
+independent would be sure of what no ride knows. One least squares for all of it: with w = 1/σ²,
+W_c = Σ w, A_rc = Σ w d and z_c = Σ w y / W_c,
 
     (B⁻¹ + diag(Σ_c w) − A W⁻¹ Aᵀ) b = Σ_c w d y − A z,        B: covariance of the b
     g = z − Aᵀ b / W,        var g_c = 1/W_c + a_cᵀ S⁻¹ a_c / W_c²
@@ -35,12 +39,15 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from tramstream.analysis.grade_map.cells import Integers
 from tramstream.analysis.grade_map.verdicts import (
+    LIMIT_STDS,
     RIDE_BIAS_STD_RAD,
     VEHICLE_BIAS_STD_RAD,
     Rows,
     Solution,
     by_medians,
     by_the_others,
+    common_std,
+    own_std,
 )
 from tramstream.tracks.network import Array
 
@@ -87,13 +94,17 @@ def merge(rows: Rows, vehicles: Sequence[str]) -> Merged:
     numbers = np.flatnonzero(np.bincount(rows.cell))
     rows = rows._replace(cell=np.searchsorted(numbers, rows.cell))
     count, rides = len(numbers), len(vehicles)
-    prior = _bias_information(vehicles)
-    good, reasons = by_medians(rows, count, rides)
+    common = common_std(rows, rides)
+    rows = rows._replace(std_rad=own_std(rows, common))
+    common = np.hypot(common, RIDE_BIAS_STD_RAD)
+    prior = _bias_information(vehicles, common)
+    limit = LIMIT_STDS * np.hypot(common, VEHICLE_BIAS_STD_RAD)
+    good, reasons = by_medians(rows, count, limit)
     seen = {tuple(reasons)}
     for _ in range(ROUNDS):
         used = good & np.array([not each for each in reasons])[rows.ride]
         solution = _solve(rows, used, count, prior)
-        verdicts = by_the_others(rows, good, used, solution)
+        verdicts = by_the_others(rows, good, used, solution, limit)
         reasons = verdicts.reasons
         if tuple(reasons) in seen:
             break
@@ -118,12 +129,13 @@ def merge(rows: Rows, vehicles: Sequence[str]) -> Merged:
     )
 
 
-def _bias_information(vehicles: Sequence[str]) -> Array:
+def _bias_information(vehicles: Sequence[str], std: Array) -> Array:
     """B⁻¹: rides of one vehicle have its mounting in common (Sherman and Morrison's formula)."""
-    _, names, counts = np.unique(np.array(vehicles), return_inverse=True, return_counts=True)
-    own, shared = RIDE_BIAS_STD_RAD**2, VEHICLE_BIAS_STD_RAD**2
-    same = (names[:, None] == names[None, :]) * (shared / (own + counts[names] * shared))
-    information: Array = (np.eye(len(vehicles)) - same) / own
+    names = np.unique(np.array(vehicles), return_inverse=True)[1]
+    own, shared = std**-2.0, VEHICLE_BIAS_STD_RAD**2
+    factor = shared / (1.0 + shared * np.bincount(names, own))[names]
+    same = names[:, None] == names[None, :]
+    information: Array = np.diag(own) - same * np.outer(own * factor, own)
     return information
 
 

@@ -13,6 +13,7 @@ off changes v̇ by 1 m/s² and α hardly at all, so κ is the regression of chan
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ PITCH_NOISE_RAD = 5e-4
 """Of a difference of pitches: springs that swing, and the filter's own."""
 NOD_STD = 0.01
 """What is known of κ beforehand, rad per m/s²: 0.6 deg at 1 m/s², the softest springs."""
+LEAST_LEFT = 0.1
+"""Of what is left against what is allowed for, however smooth a line seems to be."""
 STILL_M = 0.02
 """A vehicle that goes on by less within `LAG_S` tells nothing more about its springs."""
 
@@ -77,4 +80,8 @@ def nod_of(states: StateSeries) -> Nod:
     weight = 1.0 / (GRADE_WALK**2 * gone[fits] + PITCH_NOISE_RAD**2) / lag
     known = float(np.sum(weight * change[fits] ** 2)) + 1.0 / NOD_STD**2
     told = float(np.sum(weight * change[fits] * rise[fits]))
-    return Nod(told / known, known**-0.5)
+    value = told / known
+    # The walk is that of a steep line: what is left says how steep this one is.
+    left = weight * lag * (rise[fits] - value * change[fits]) ** 2
+    usual = float(np.mean(left)) if len(left) > lag else 1.0
+    return Nod(value, min(NOD_STD, math.sqrt(max(usual, LEAST_LEFT) / known)))

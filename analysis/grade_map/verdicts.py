@@ -17,9 +17,12 @@ from tramstream.tracks.network import Array
 Flags = NDArray[np.bool_]
 
 RIDE_BIAS_STD_RAD = 5e-4
-"""5 mm/s² of an accelerometer's bias that a filter has not found out in a ride."""
+"""5 mm/s² of an accelerometer's bias that a ride has beyond what its smoother states."""
 VEHICLE_BIAS_STD_RAD = 1e-3
 """0.06 deg of an IMU's mounting, which `align` leaves."""
+COMMON_QUANTILE = 0.1
+OWN_SHARE = 0.3
+"""Least share of a stated deviation that is taken to be a cell's own."""
 LIMIT_STDS = 4.0
 SCATTER_LIMIT = 4.0
 """So many times the scatter that is usual, or stated if that is more."""
@@ -67,8 +70,27 @@ class Verdicts(NamedTuple):
     """RMS of its residuals over σ, without the bias; NaN where nobody can tell."""
 
 
-def by_medians(rows: Rows, count: int, rides: int) -> tuple[Flags, list[str]]:
+def common_std(rows: Rows, rides: int) -> Array:
+    """How much of the deviations that a ride states may be the same all along it."""
+    bounds = np.searchsorted(rows.ride, np.arange(rides + 1))
+    stated = [rows.std_rad[bounds[k] : bounds[k + 1]] for k in range(rides)]
+    return np.array([np.quantile(each, COMMON_QUANTILE) if len(each) else 0.0 for each in stated])
+
+
+def own_std(rows: Rows, common: Array) -> Array:
+    """What is left of them for each cell."""
+    left = rows.std_rad**2 - common[rows.ride] ** 2
+    own: Array = np.sqrt(np.maximum(left, (OWN_SHARE * rows.std_rad) ** 2))
+    return own
+
+
+def by_medians(rows: Rows, count: int, limit: Array) -> tuple[Flags, list[str]]:
     """Hold each ride against the medians of its cells.
+
+    Parameters
+    ----------
+    limit : ndarray, shape (rides,)
+        Largest bias of each ride.
 
     Returns
     -------
@@ -77,6 +99,7 @@ def by_medians(rows: Rows, count: int, rides: int) -> tuple[Flags, list[str]]:
     reasons : list of str
         Of each ride.
     """
+    rides = len(limit)
     crowd = (np.bincount(rows.cell, minlength=count) > OTHERS)[rows.cell]
     off = (rows.grade_rad - medians(rows.cell, rows.grade_rad, count)[rows.cell]) * rows.sign
     if not crowd.all():
@@ -88,10 +111,12 @@ def by_medians(rows: Rows, count: int, rides: int) -> tuple[Flags, list[str]]:
     usual = np.fmax(scatter, 1.0)[rows.ride] * rows.std_rad
     with np.errstate(invalid="ignore"):
         good = ~(left > np.maximum(PASS_LIMIT_STDS * usual, PASS_LEAST_RAD))
-    return good, _reasons(rows, good, good & crowd, Verdicts([], bias, scatter))
+    return good, _reasons(rows, good, good & crowd, Verdicts([], bias, scatter), limit)
 
 
-def by_the_others(rows: Rows, good: Flags, used: Flags, solution: Solution) -> Verdicts:
+def by_the_others(
+    rows: Rows, good: Flags, used: Flags, solution: Solution, limit: Array
+) -> Verdicts:
     """Hold each ride against the map of all others that are in use."""
     rides = len(solution.bias)
     grade = np.nan_to_num(solution.grade)
@@ -113,16 +138,16 @@ def by_the_others(rows: Rows, good: Flags, used: Flags, solution: Solution) -> V
         scatter = np.sqrt(np.bincount(rows.ride, square, rides) / (number - 1))
     found = Verdicts([], bias, np.where(_enough(rows, good, at, rides), scatter, np.nan))
     known = np.where(np.isfinite(bias), bias, solution.bias)
-    return Verdicts(_reasons(rows, good, at, found), known, found.scatter)
+    return Verdicts(_reasons(rows, good, at, found, limit), known, found.scatter)
 
 
-def _reasons(rows: Rows, good: Flags, at: Flags, found: Verdicts) -> list[str]:
+def _reasons(rows: Rows, good: Flags, at: Flags, found: Verdicts, limit: Array) -> list[str]:
     enough = _enough(rows, good, at, len(found.bias))
     scatter = found.scatter[enough & np.isfinite(found.scatter)]
     usual = max(float(np.median(scatter)), 1.0) if len(scatter) else 1.0
     return [
-        _reason(float(bias), float(own), usual) if judged else ""
-        for bias, own, judged in zip(found.bias, found.scatter, enough, strict=True)
+        _reason(float(bias), float(own) / usual, float(most)) if judged else ""
+        for bias, own, most, judged in zip(found.bias, found.scatter, limit, enough, strict=True)
     ]
 
 
@@ -134,16 +159,15 @@ def _enough(rows: Rows, good: Flags, at: Flags, rides: int) -> Flags:
     return enough
 
 
-def _reason(bias: float, scatter: float, usual: float) -> str:
+def _reason(bias: float, scatter: float, limit: float) -> str:
     """Why a ride is out; empty where it is not."""
-    limit = LIMIT_STDS * float(np.hypot(RIDE_BIAS_STD_RAD, VEHICLE_BIAS_STD_RAD))
     if abs(bias) > limit:
         return (
             f"its slopes are {100 * bias:+.2f} % off those of the others all along "
             "(mounting of the IMU in pitch, or bias of its accelerometer)"
         )
-    if scatter > SCATTER_LIMIT * usual:
-        return f"its slopes scatter {scatter / usual:.1f} times as much as is usual around others'"
+    if scatter > SCATTER_LIMIT:
+        return f"its slopes scatter {scatter:.1f} times as much as is usual around others'"
     return ""
 
 

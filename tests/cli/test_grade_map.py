@@ -9,17 +9,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from graded import Going, hills, states_of, write_smoothed
+from graded import Going, hills, passing, states_of, write_smoothed
 from looking import tramstream
 from networks import town
 
 from tramstream.analysis.grade_map import export, file
-from tramstream.analysis.grade_map.assemble import GradeMap
+from tramstream.analysis.grade_map.assemble import GradeMap, assemble
 from tramstream.analysis.grade_map.cells import cells_of
+from tramstream.analysis.grade_map.heights import Priors
 from tramstream.mapping.line_requests import LineRequest
 from tramstream.mapping.lines import lay_lines
-from tramstream.tracks.grades import GRADES_ENTRY
-from tramstream.tracks.network import Network
+from tramstream.tracks.grades import GRADES_ENTRY, NO_GRADES, digest_in
+from tramstream.tracks.network import Network, load
 
 ALONG = Going((0, 2), length_m=900.0)
 BACK = Going((3, 1), length_m=900.0)
@@ -200,3 +201,56 @@ def test_stretches_cover_every_cell_once_within_their_tolerance(built) -> None:
     for part in export.stretches(exact):
         own = 100 * np.tan(made.columns["grade_rad"][part.first : part.last + 1])
         assert np.abs(own - part.grade_percent).max() < 2 * export.TOLERANCE + 1e-9
+
+
+# Back into the network ----------------------------------------------------------------------------
+def overpass(folder: Path) -> Path:
+    """A street of 800 m with a siding, both ways."""
+    elements: list[dict] = [
+        {"type": "node", "id": k + 1, "lat": 50.0, "lon": round(14.4 + 2.8e-4 * k, 7)}
+        for k in range(41)
+    ]
+    elements.append({"type": "node", "id": 50, "lat": 50.0002, "lon": 14.4072})
+    for osm_id, nodes in ((1, range(1, 42)), (2, (21, 50))):
+        elements.append(
+            {"type": "way", "id": osm_id, "nodes": list(nodes), "tags": {"railway": "tram"}}
+        )
+    path = folder / "map.json"
+    path.write_text(json.dumps({"elements": elements}))
+    return path
+
+
+def test_network_is_built_with_the_grades_that_rides_measured(tmp_path: Path) -> None:
+    """The same map of rails, another build of it: the cells find their tracks by name."""
+    source, first = overpass(tmp_path), tmp_path / "first.net"
+    assert tramstream("map", "build", source, "-o", first).returncode == 0
+    network = load(first)
+    rides = [passing(network, k, 1 - 2 * (k % 2), noise_rad=1e-4) for k in range(4)]
+    file.write(assemble(network, rides, Priors((), 0.0)), tmp_path / "grades.parquet")
+    second = tmp_path / "second.net"
+    words = ("map", "build", source, "-o", second, "--grades", tmp_path / "grades.parquet")
+    done = tramstream(*words, "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert (figures["grade_share"], figures["grades_nowhere"]) == (1.0, [])
+    built = load(second)
+    assert np.isfinite(built.grade_rad).all()
+    assert "grades of 4 rides (grades.parquet)" in built.source
+    cells = cells_of(network)
+    track = int(np.argmax(network.length_m))
+    own = built.grade_rad[built.samples_of(track)]
+    at = np.arange(len(own)) * float(built.spacing_m[track])
+    middle = (np.arange(np.diff(cells.starts)[track]) + 0.5) * cells.width_m[track]
+    true = hills(network)[0][cells.starts[track] : cells.starts[track + 1]]
+    np.testing.assert_allclose(own, np.interp(at, middle, true), atol=2e-3)
+    assert "with a measured grade" in tramstream(*words).stdout
+    assert digest_in(second) not in (NO_GRADES, digest_in(first))
+
+
+def test_grades_that_are_none_end_the_build_in_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "grades.parquet").write_bytes(b"none")
+    words = ("map", "build", overpass(tmp_path), "-o", tmp_path / "a.net")
+    done = tramstream(*words, "--grades", tmp_path / "grades.parquet")
+    assert done.returncode == 2
+    assert "is no grade map" in done.stderr
+    assert not (tmp_path / "a.net").exists()

@@ -21,7 +21,7 @@ from tramstream.tracks.network import Network, load
 
 def told(cells: slice = slice(None)) -> list[TrackGrades]:
     network = straight_track()
-    rides = [passing(network, k, 1 - 2 * (k % 2), std_rad=1e-4, cells=cells) for k in range(4)]
+    rides = [passing(network, k, 1 - 2 * (k % 2), noise_rad=1e-4, cells=cells) for k in range(4)]
     return track_grades(assemble(network, rides, Priors((), 0.0)))
 
 

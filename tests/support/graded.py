@@ -30,7 +30,9 @@ from tramstream.tracks.network import Network
 
 Array = NDArray[np.float64]
 
-STD_RAD = 1e-3
+BIAS_RAD, NOISE_RAD = 1e-3, 3e-4
+"""Deviations of what rides have wrong all along, and of each cell's own."""
+STD_RAD = math.hypot(BIAS_RAD, NOISE_RAD)
 """What the rides state."""
 
 
@@ -59,22 +61,22 @@ def passing(
     seed: int,
     sign: int = 1,
     bias_rad: float = 0.0,
-    std_rad: float = STD_RAD,
+    noise_rad: float = NOISE_RAD,
     vehicle: str = "",
     cells: slice = slice(None),
 ) -> Ride:
-    """A ride over all cells one way: slopes with noise of the stated size and a bias."""
+    """A ride over all cells one way: slopes with noise and a bias."""
     rng = np.random.default_rng(seed)
     cut: Cells = cells_of(network)
     grade, height = hills(network)
     cell = np.arange(cut.starts[-1])[cells]
-    told = grade[cell] + sign * bias_rad + std_rad * rng.standard_normal(len(cell))
+    told = grade[cell] + sign * bias_rad + noise_rad * rng.standard_normal(len(cell))
     count = len(cell)
     passes = Passes(
         cell.astype(np.int32),
         np.full(count, sign, np.int8),
         told.astype(np.float32),
-        np.full(count, std_rad, np.float32),
+        np.full(count, math.hypot(BIAS_RAD, noise_rad), np.float32),
         (height[cell] + rng.standard_normal()).astype(np.float32),
         np.full(count, 1.0, np.float32),
     )
