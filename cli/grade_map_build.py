@@ -169,7 +169,10 @@ def _read(
         done = 0
         for result in _results(wanted, level_net, workers):
             done += 1
-            (refused if isinstance(result, Refused) else rides).append(result)  # type: ignore
+            if isinstance(result, Refused):
+                refused.append(result)
+            else:
+                rides.append(result)
     if done < len(wanted):
         say(f"stopped; {len(wanted) - done} records are missing")
     refused.sort(key=lambda each: each.name)

@@ -117,7 +117,13 @@ def _system(network: Network, cells: Cells, cell: Integers) -> _System:
         begin.append(chain[:-1])
         end.append(chain[1:])
         width.append(np.full(len(own), cells.width_m[track]))
-    return _System(*map(np.concatenate, (numbers, begin, end, width)), fresh)
+    return _System(
+        np.concatenate(numbers),
+        np.concatenate(begin),
+        np.concatenate(end),
+        np.concatenate(width),
+        fresh,
+    )
 
 
 class _Wanted(NamedTuple):
