@@ -164,14 +164,14 @@ def _smoothed_anew(
     RecordError
         If the record has no measurements, or no configuration.
     """
-    if vehicle is None:
-        raise RecordError(f"{path}: {why}, and no configuration that it could be smoothed with")
     if not holds(record, keys.IMU_BATCH.path):
         raise RecordError(
             f"{path}: {why}, and has no measurements to smooth it from without them; it would "
             "count what the map said already",
             cure="give the record that it was made from",
         )
+    if vehicle is None:
+        raise RecordError(f"{path}: {why}, and no configuration that it could be smoothed with")
     if vehicle.map is not None:
         level_map = msgspec.structs.replace(vehicle.map, network=str(level_net))
         vehicle = msgspec.structs.replace(vehicle, map=level_map)

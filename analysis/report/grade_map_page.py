@@ -177,7 +177,8 @@ def _profile(made: GradeMap, drawn: Any, middle: Any, marker: ColumnDataSource) 
 
 
 _MARK = """
-const found = cb_data.index.indices;
+const index = cb_data.index;
+const found = [...(index.line_indices || []), ...(index.indices || [])];
 if (found.length) {
   const k = found[0], data = source.data;
   marker.data = {east: [data.east[k]], north: [data.north[k]], at: [data.at[k]],

@@ -67,8 +67,7 @@ def test_ride_over_several_tracks_meets_the_cells_of_each() -> None:
     network = switch().network
     passes, _ = gone(network, Going((0, 4), length_m=420.0))
     assert set(cells_of(network).track_of(passes.cell).tolist()) == {0, 2}
-    # Hills begin anew at the switch: its two cells have a bit of both.
-    assert np.sort(np.abs(error(network, passes)))[:-2].max() < CELL_ERROR_RAD
+    assert np.abs(error(network, passes)).max() < 4 * CELL_ERROR_RAD
 
 
 def test_rules_of_the_map_do_not_tell_the_direction() -> None:

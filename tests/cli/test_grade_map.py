@@ -51,11 +51,18 @@ def folder(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def build(folder: Path, out: Path, *names: str, status: int = 0, options: tuple = ()) -> dict:
+def build(
+    folder: Path,
+    out: Path,
+    *names: str,
+    status: int = 0,
+    options: tuple = (),
+    workers: int = 1,
+) -> dict:
     records = [folder / f"{name}.mcap" for name in names]
     done = tramstream(
         *("grade-map", "build", *records, "--net", folder / "town.net", "-o", out, "--json"),
-        *options,
+        *("--workers", workers, *options),
     )
     assert done.returncode == status, done.stderr
     return json.loads(done.stdout)
@@ -96,7 +103,7 @@ def test_map_of_rides_is_true_and_names_the_one_that_is_not(network, built) -> N
 
 def test_map_is_the_same_in_any_order_with_any_number_of_workers(folder, built) -> None:
     out = folder / "other.parquet"
-    build(folder, out, "ride3", "ride2", "ride0", "ride1", options=("--workers", "1"))
+    build(folder, out, "ride3", "ride2", "ride0", "ride1", workers=2)
     assert_same(file.read(built[0]), file.read(out))
 
 
@@ -162,7 +169,7 @@ def test_show_tells_profiles_and_rides_and_draws_a_page(folder, built) -> None:
     assert "line 9 to West" in text
     figures = json.loads(tramstream("grade-map", "show", built[0], "--json").stdout)
     (line,) = (each for each in figures["profiles"] if each["profile"].startswith("line"))
-    assert line["known_km"] == pytest.approx(0.9, abs=0.02)
+    assert line["known_km"] == pytest.approx(0.9, abs=0.03)
     assert line["grade_most_percent"] == pytest.approx(4.0, abs=0.15)
     assert len(figures["by_ride"]) == 4
     again = tramstream("grade-map", "show", built[0], "-o", page)
@@ -181,10 +188,10 @@ def test_exports_agree_with_the_map(folder, built) -> None:
     ways = ElementTree.parse(outs["osm"]).getroot().findall("way")
     inclines = [way.find("tag[@k='incline']").get("v") for way in ways]
     assert all(value.endswith("%") for value in inclines)
-    assert max(float(value[:-1]) for value in inclines) == pytest.approx(4.0, abs=0.3)
+    assert max(float(value[:-1]) for value in inclines) == pytest.approx(4.0, abs=0.5)
     rails = ElementTree.parse(outs["railml"]).getroot()
     slopes = [float(each.get("slope")) for each in rails.iter(f"{{{export.RAILML}}}gradientChange")]
-    assert max(slopes) == pytest.approx(40.0, abs=3.0)
+    assert max(slopes) == pytest.approx(40.0, abs=5.0)
     assert tramstream("grade-map", "export", built[0]).returncode == 2
 
 

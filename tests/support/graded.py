@@ -43,16 +43,20 @@ def straight_track(length_m: float = 2000.0) -> Network:
 
 
 def hills(network: Network) -> tuple[Array, Array]:
-    """Slope of each cell's track as drawn, rad, and its height, m: waves of 400 m, 4 % steep."""
+    """Slope of each cell's track as drawn, rad, and its height, m: waves of about 400 m, 4 % steep.
+
+    Each track has whole waves, so that it is level and as high as all others at its ends.
+    """
     cells = cells_of(network)
     grade = np.empty(cells.starts[-1])
     height = np.empty(cells.starts[-1])
     for track in range(network.track_count):
         own = slice(cells.starts[track], cells.starts[track + 1])
         at = (np.arange(own.stop - own.start) + 0.5) * cells.width_m[track]
-        wave = math.tau / 400.0
-        grade[own] = np.arctan(0.04 * np.sin(wave * at + track))
-        height[own] = LEVEL.height_m - 0.04 / wave * (np.cos(wave * at + track) - 1.0)
+        length_m = float(network.length_m[track])
+        wave = math.tau * max(round(length_m / 400.0), 1) / length_m
+        grade[own] = np.arctan(0.04 * np.sin(wave * at))
+        height[own] = LEVEL.height_m - 0.04 / wave * (np.cos(wave * at) - 1.0)
     return grade, height
 
 
