@@ -223,7 +223,9 @@ def _terrain(
     track = cells.track_of(system.cell)
     drawn_m = (system.cell - cells.starts[track] + 0.5) * cells.width_m[track]
     geodetic = network.geodetic_of(plan_at(network, track, drawn_m))
-    sample = network.starts[track] + np.rint(drawn_m / network.spacing_m[track]).astype(np.int64)
+    sample = network.starts[track].astype(np.int64) + np.rint(
+        drawn_m / network.spacing_m[track]
+    ).astype(np.int64)
     std = terrain_std_m(network, priors.tiles, geodetic, sample)
     shared = np.sqrt(np.maximum(TERRAIN_REACH_M / system.width_m, 1.0))
     return terrain_m(priors.tiles, geodetic) + priors.geoid_m, std * shared

@@ -48,6 +48,7 @@ from tramstream.analysis.grade_map.verdicts import (
     by_the_others,
     common_std,
     own_std,
+    sums,
 )
 from tramstream.tracks.network import Array
 
@@ -114,7 +115,7 @@ def merge(rows: Rows, vehicles: Sequence[str]) -> Merged:
     rows = rows._replace(std_rad=rows.std_rad * scale[rows.ride])
     solution = _solve(rows, used, count, prior, with_variance=True)
     left = rows.grade_rad - rows.sign * solution.bias[rows.ride] - solution.grade[rows.cell]
-    chi2 = np.bincount(rows.cell, np.where(used, (left / rows.std_rad) ** 2, 0.0), count)
+    chi2 = sums(rows.cell, np.where(used, (left / rows.std_rad) ** 2, 0.0), count)
     return Merged(
         numbers,
         rows.cell,
@@ -146,12 +147,12 @@ def _solve(
     ride, cell, y, rides = rows.ride, rows.cell, rows.grade_rad, len(prior)
     w = used / rows.std_rad**2
     wd = w * rows.sign
-    weight = np.bincount(cell, w, count)
+    weight = sums(cell, w, count)
     known = weight > 0
     safe = np.where(known, weight, 1.0)
-    z = np.bincount(cell, w * y, count) / safe
-    S = prior + np.diag(np.bincount(ride, w, rides))
-    told = np.bincount(ride, wd * y, rides)
+    z = sums(cell, w * y, count) / safe
+    S = prior + np.diag(sums(ride, w, rides))
+    told = sums(ride, wd * y, rides)
     columns = _columns(ride, cell, wd, rides, count)
     for A, part in columns:
         S -= (A / safe[part]) @ A.T
@@ -180,6 +181,6 @@ def _columns(
             flat, w = ride[here] * (end - begin) + cell[here] - begin, wd[here]
         else:
             flat, w = ride * count + cell, wd
-        A = np.bincount(flat, w, rides * (end - begin)).reshape(rides, end - begin)
+        A = sums(flat, w, rides * (end - begin)).reshape(rides, end - begin)
         found.append((A, slice(begin, end)))
     return found

@@ -16,10 +16,10 @@ from tramstream.tracks.network import Array
 
 Flags = NDArray[np.bool_]
 
-RIDE_BIAS_STD_RAD = 5e-4
-"""5 mm/s² of an accelerometer's bias that a ride has beyond what its smoother states."""
-VEHICLE_BIAS_STD_RAD = 1e-3
-"""0.06 deg of an IMU's mounting, which `align` leaves."""
+RIDE_BIAS_STD_RAD = 3e-4
+"""3 mm/s² of an accelerometer's bias that a ride has beyond what its smoother states."""
+VEHICLE_BIAS_STD_RAD = 5e-4
+"""0.03 deg of mounting that rides of a vehicle share, beyond what their smoothers state."""
 COMMON_QUANTILE = 0.1
 OWN_SHARE = 0.3
 """Least share of a stated deviation that is taken to be a cell's own."""
@@ -169,6 +169,12 @@ def _reason(bias: float, scatter: float, limit: float) -> str:
     if scatter > SCATTER_LIMIT:
         return f"its slopes scatter {scatter:.1f} times as much as is usual around others'"
     return ""
+
+
+def sums(group: Integers, value: Array, count: int) -> Array:
+    """Sum of the values of each group."""
+    found: Array = np.bincount(group, value, count).astype(np.float64, copy=False)
+    return found
 
 
 # Medians ------------------------------------------------------------------------------------------
