@@ -75,10 +75,26 @@ def figures(made: GradeMap) -> tuple[float, float, float]:
     return 100 * rms, 100 * float(np.median(std)), float(np.mean((error / std) ** 2))
 
 
+def scenario_of(name: str) -> Scenario:
+    """A built-in one; or the sensors of kaspar2023 as a city's driver drives them, in a body whose
+    springs nobody knows or without."""
+    if not name.startswith("reference"):
+        return scenarios.load(name)
+    chosen, tram = scenarios.load("kaspar2023"), scenarios.load("tram")
+    driver = msgspec.structs.replace(tram.driver, dwell_s=10.0, first_dwell_s=15.0)
+    chosen = msgspec.structs.replace(chosen, driver=driver)
+    if "body" not in name:
+        return chosen
+    ekf = msgspec.structs.replace(
+        chosen.ekf, pivot_m=3.2, bogie_distance_m=6.4, force_std_mps2_rthz=0.003
+    )
+    return msgspec.structs.replace(chosen, body=tram.body, ekf=ekf)
+
+
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["kaspar2023", "city", "tram"])
+@pytest.mark.parametrize("name", ["reference", "reference with body", "city", "tram"])
 def test_rides_of_a_line_merged(tmp_path: Path, name: str) -> None:
-    chosen = scenarios.load(name)
+    chosen = scenario_of(name)
     rides = [ridden(tmp_path, chosen, seed, 60 * MINUTES) for seed in range(1, RIDES + 1)]
     for ride in rides:
         print(f"nod {np.degrees(ride.nod):.3f} ± {np.degrees(ride.nod_std):.3f} deg per m/s²")
@@ -89,4 +105,5 @@ def test_rides_of_a_line_merged(tmp_path: Path, name: str) -> None:
         for ride in made.rides:
             told = f"{ride.name}: bias {100 * ride.bias_rad:+.3f} %, scatter {ride.scatter}"
             print("   ", told, ride.out)
-    assert 0.2 < nees < 2.0
+    # All cells of one map share one bias: of one map it is no more than plausible.
+    assert nees < 6.6
