@@ -129,7 +129,7 @@ def _along_line(made: GradeMap, line: LinePart, by_track: dict[int, Any]) -> Pro
             sign.append(np.full(len(inside), 1.0 if run % 2 == 0 else -1.0))
         gone += length_m
     name = f"line {line.line} to {line.destination}"
-    return Profile(name, *(np.concatenate(each) for each in (rows, at, sign)))
+    return Profile(name, np.concatenate(rows), np.concatenate(at), np.concatenate(sign))
 
 
 # Back into a network ------------------------------------------------------------------------------
