@@ -43,6 +43,11 @@ def bench(
 
         say("map …")
         figures += bench_map.measure(net)
+    if only and only in "grade-map":  # half a minute, and nothing of the vehicle's
+        from tramstream.cli.figures import bench_grade_map
+
+        say("grade-map …")
+        figures += bench_grade_map.measure()
     if only in "bus":
         say("bus …")
         figures += bus_round_trip()

@@ -29,7 +29,7 @@ PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
     "Looking": ("top", "list", "echo", "hz", "bw", "info", "config"),
     "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
-    "Map": ("map",),
+    "Map": ("map", "grade-map"),
     "Figures": ("evaluate", "report", "reproduce", "bench"),
 }
 

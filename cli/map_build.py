@@ -36,7 +36,19 @@ def build(
     out: Annotated[Path, typer.Option("--out", "-o", help="Network to write.", metavar="NET")],
     elevation: Annotated[
         list[Path] | None,
-        typer.Option(help="SRTM tile, like N50E014.hgt; may be repeated.", metavar="TILE.hgt"),
+        typer.Option(
+            help="SRTM tile, like N50E014.hgt, or GeoTIFF in any coordinate system; may be "
+            "repeated.",
+            metavar="TILE.hgt",
+        ),
+    ] = None,
+    grades: Annotated[
+        Path | None,
+        typer.Option(
+            help="Grades that rides measured: of `grade-map build`; they take the place of "
+            "terrain's.",
+            metavar="MAP.parquet",
+        ),
     ] = None,
     geoid_m: Annotated[
         float | None,
@@ -78,12 +90,12 @@ def build(
     from tramstream.mapping.build import Options
 
     began_s = time.perf_counter()
-    given = [*sources, *(elevation or ()), *(lines or ())]
+    given = [*sources, *(elevation or ()), *(lines or ()), *([grades] if grades else ())]
     if out.resolve() in [path.resolve() for path in given]:
         raise ConfigError(f"{out}: is what would be read; choose another --out")
     height_m = PRAGUE_GEOID_M if geoid_m is None else geoid_m
     options = Options(yards, node_std_m, tuple(elevation or ()), height_m)
-    result = _write(sources, options, lines or [], out)
+    result = _write(sources, options, (lines or [], grades), out)
     result["elapsed_s"] = time.perf_counter() - began_s
     if json_:
         print(json.dumps(result))
@@ -91,8 +103,10 @@ def build(
         _show(result)
 
 
-def _write(sources: list[Path], options: Options, lines: list[Path], out: Path) -> dict[str, Any]:
-    """Read, build, save; the figures."""
+def _write(
+    sources: list[Path], options: Options, besides: tuple[list[Path], Path | None], out: Path
+) -> dict[str, Any]:
+    """Read, build, save; the figures. `besides`: files of lines, and a grade map."""
     from dataclasses import replace
     from datetime import UTC, datetime
 
@@ -104,13 +118,17 @@ def _write(sources: list[Path], options: Options, lines: list[Path], out: Path) 
     extract = extracts.read(sources)
     network, report = network_build.build(extract, options)
     network = network_lines.place_stops(network, extract)
+    lines, grades = besides
     network, told = _with_lines(network, extract, lines)
+    more: dict[str, Any] = {}
+    if grades is not None:
+        network, more = _with_grades(network, grades)
     built = f"{network.source}; built {datetime.now(UTC):%Y-%m-%d}"
     try:
         replace(network, source=built).save(out)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
-    return _result(network, report, told) | {"out": str(out), "bytes": out.stat().st_size}
+    return _result(network, report, told) | more | {"out": str(out), "bytes": out.stat().st_size}
 
 
 def _with_lines(
@@ -127,6 +145,18 @@ def _with_lines(
         requests, told = line_requests.of_extract(extract)
     network, more = network_lines.lay_lines(network, requests)
     return network, told + more
+
+
+def _with_grades(network: Network, path: Path) -> tuple[Network, dict[str, Any]]:
+    """Lay the grades of a map into a network; what came of it."""
+    from tramstream.analysis.grade_map import file
+    from tramstream.analysis.grade_map.summary import source_of, track_grades
+    from tramstream.mapping import grades
+
+    made = file.read(path)
+    laid = grades.lay(network, track_grades(made), source_of(made, path.name))
+    share = laid.samples / len(network.east)
+    return laid.network, {"grade_share": share, "grades_nowhere": list(laid.unknown)}
 
 
 def _result(network: Network, report: Report, told: tuple[str, ...]) -> dict[str, Any]:
@@ -151,6 +181,10 @@ def _show(result: dict[str, Any]) -> None:
     table.add_column(justify="right")
     for name in ("nodes", "switches", "tracks", "edges", "segments", "stops", "lines"):
         table.add_row({"segments": "directed segments"}.get(name, name), f"{counts[name]:,}")
+    if "grade_share" in result:
+        table.add_row("with a measured grade", f"{result['grade_share']:.1%}")
+        if nowhere := len(result["grades_nowhere"]):
+            table.add_row("tracks of the grade map that are not here", f"{nowhere}")
     for name, text in (
         ("length of tracks", f"{result['track_km']:.1f} km"),
         ("length of edges", f"{result['edge_km']:.1f} km"),

@@ -31,6 +31,7 @@ def record(
     from tramstream.config import Recorder
     from tramstream.config_file import RECORD_ENTRY, load, to_json
     from tramstream.recorder.node import RecorderNode
+    from tramstream.tracks.grades import GRADES_ENTRY, held_to
 
     loaded = load(config) if config is not None else None
     settings = loaded.recorder if loaded is not None else Recorder()
@@ -39,7 +40,9 @@ def record(
     stop = stop_on_signals()
     with client(loaded.runtime_dir if loaded is not None else None) as bus:
         name = vehicle or (loaded.vehicle if loaded is not None else vehicle_on(bus))
-        metadata = {RECORD_ENTRY: to_json(loaded)} if loaded is not None else {}
+        metadata: dict[str, str] = {}
+        if loaded is not None:
+            metadata = {RECORD_ENTRY: to_json(loaded), GRADES_ENTRY: held_to(loaded)}
         if duration_s:
             threading.Timer(duration_s, stop.set).start()
         node = RecorderNode(name, bus, stop, settings, metadata, keys)

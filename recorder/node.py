@@ -42,6 +42,7 @@ from tramstream.recorder.gaps import GapBook
 from tramstream.recorder.leaving import Leaving, Seen
 from tramstream.recorder.previous import remember
 from tramstream.recorder.recording import Recording
+from tramstream.tracks import grades
 from tramstream.transport.bus import Bus, Envelope
 from tramstream.transport.descriptions import Described
 from tramstream.transport.header import is_possible
@@ -383,5 +384,8 @@ class RecorderNode(Node):
 
 def build(vehicle: Vehicle, bus: Bus, stop: threading.Event) -> RecorderNode:
     """Make the node of a vehicle; the entry point of `tramstream.nodes`."""
-    metadata = {config_file.RECORD_ENTRY: config_file.to_json(vehicle)}
+    metadata = {
+        config_file.RECORD_ENTRY: config_file.to_json(vehicle),
+        grades.GRADES_ENTRY: grades.held_to(vehicle),
+    }
     return RecorderNode(vehicle.vehicle, bus, stop, vehicle.recorder, metadata, goes_on=True)

@@ -34,7 +34,7 @@ def test_table_of_keys_is_that_of_the_code() -> None:
 def test_every_verb_is_in_the_readme() -> None:
     verbs = {point.name for point in entry_points(group="tramstream.verbs")}
     section = README.split("## The verbs")[1].split("## ")[0]
-    named = set(re.findall(r"`(\w+)(?: \w+)?`", section))
+    named = set(re.findall(r"`([\w-]+)(?: \w+)?`", section))
     assert verbs <= named
 
 

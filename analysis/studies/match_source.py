@@ -88,7 +88,7 @@ def _of_trace(file: Path, network: Network, net: Path) -> Source:
 def _of_record(file: Path, network: Network, net: Path, say: Callable[[str], None]) -> Source:
     notes: list[str] = []
     with open_record(file) as record:
-        vehicle, offset_ns = vehicle_in(record, say), _utc_offset_ns(record)
+        vehicle, offset_ns = vehicle_in(record, say), utc_offset_ns(record)
         found = _states(record)
         if found is None and vehicle is None:
             return _of_fixes(record, network, net, offset_ns)
@@ -112,7 +112,7 @@ def _of_record(file: Path, network: Network, net: Path, say: Callable[[str], Non
     of_vehicle = vehicle.map if vehicle is not None else None
     settings = of_vehicle or Map(network=str(net))
     forget_s = TRACE_FORGET_S if _alone(states) else FORGET_S
-    path = find_path(network, settings, _estimates(states, level), forget_s)
+    path = find_path(network, settings, estimates_of(states, level), forget_s)
     plan = network.plan_of(states.geodetic)
     kind = f"{keys.EST_STATE.path}, {len(states)} states"
     return Source(states.stamp_ns, plan, offset_ns, path, kind, tuple(notes))
@@ -157,7 +157,8 @@ def _states(record: Record) -> tuple[StateSeries, LocalLevel] | None:
     return states.take(np.flatnonzero(np.diff(slot, prepend=-1))), ride.level
 
 
-def _estimates(states: StateSeries, level: LocalLevel) -> Iterator[tuple[Estimate, LocalLevel]]:
+def estimates_of(states: StateSeries, level: LocalLevel) -> Iterator[tuple[Estimate, LocalLevel]]:
+    """Give states as a matcher takes them, each with the frame of its position."""
     usual = np.diag([_UNKNOWN_STD_M**2] * 2 + [1.0] * 5)
     for k in range(len(states)):
         covariance = states.covariance[k]
@@ -170,7 +171,7 @@ def _estimates(states: StateSeries, level: LocalLevel) -> Iterator[tuple[Estimat
         yield Estimate(int(states.stamp_ns[k]), int(states.mode[k]), values, standing), level
 
 
-def _utc_offset_ns(record: Record) -> int | None:
+def utc_offset_ns(record: Record) -> int | None:
     """UTC minus vehicle clock, as the record tells first."""
     for _, reference in record.decoded(lambda topic: keys.split(topic)[1] == keys.CLOCK.path):
         return int(reference.host_utc_ns - reference.stamp_ns)

@@ -22,10 +22,17 @@ class Job(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def results(jobs: Sequence[Job]) -> Iterator[tuple[Job, Any]]:
-    """Each job with its result, as they are done; after a signal no more."""
+def results(jobs: Sequence[Job], most: int = 0) -> Iterator[tuple[Job, Any]]:
+    """Each job with its result, as they are done; after a signal no more.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    most : int
+        Processes; 0 is one a core.
+    """
     stop = stop_on_signals()
-    workers = max(min(os.cpu_count() or 1, len(jobs)), 1)
+    workers = max(min(most or os.cpu_count() or 1, len(jobs)), 1)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_leave_signals) as pool:
         waiting: dict[Future[Any], Job] = {

@@ -14,6 +14,7 @@ from tramstream.config import MATCHER, Vehicle
 from tramstream.errors import ConfigError, RecordError
 from tramstream.live import registry
 from tramstream.processor import Ordering, Processor, Smoothing
+from tramstream.recorder import identity
 from tramstream.recorder.file.writer import CHUNK_BYTES, RecordFile
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess import parallel
@@ -22,6 +23,7 @@ from tramstream.recorder.reprocess.compare import Comparison
 from tramstream.recorder.reprocess.inputs import copy_inputs
 from tramstream.recorder.reprocess.order import Output
 from tramstream.recorder.reprocess.plan import Plan, read_plan
+from tramstream.tracks import grades
 from tramstream.tracks import network as networks
 
 
@@ -138,6 +140,8 @@ def rerun(
         metadata = {
             config_file.RECORD_ENTRY: config_file.to_json(vehicle),
             "reprocessed_from": source.name,
+            identity.ENTRY: identity.identity_of(record),
+            grades.GRADES_ENTRY: grades.held_to(vehicle),
         }
         name = record.vehicle or vehicle.vehicle
         with RecordFile(out, name, metadata) as target:

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from fuzz_grades import GRADE_KINDS
 from fuzzing import Kind, change_archive, change_bytes, change_either, change_text
 from msgspec.structs import replace
 from networks import town
@@ -621,4 +622,5 @@ KINDS = (
     Kind("candump", ".candump", candump, use_candump, change_either, 150),
     Kind("dbc", ".dbc", dbcs, use_dbc, change_either, 150),
     Kind("imu", ".bin", imu, use_imu, change_imu, 150),
+    *GRADE_KINDS,
 )

@@ -1,5 +1,7 @@
 """Heights and grades of a network from SRTM tiles (`.hgt`), with what they are worth.
 
+Other rasters (`mapping.raster`) do as well.
+
 Terrain is not track: a pixel is 90 m (SRTM3) or 30 m wide and off by metres, streets have houses,
 rails have bridges and cuttings. So heights are smoothed along the rails and over their nodes: grade
 is taken to vary around nought by `GRADE_STD` over `GRADE_REACH_M` (Ornstein-Uhlenbeck), terrain to
@@ -26,7 +28,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,7 @@ from scipy.sparse.linalg import splu
 
 from tramstream.errors import ConfigError
 from tramstream.input_file import read_bytes
+from tramstream.mapping import raster
 from tramstream.tracks.network import Network
 
 Array = NDArray[np.float64]
@@ -58,6 +61,19 @@ _VAGUE_M = 1000.0
 """Where no tile is, a height may be anything."""
 
 
+class Heights(Protocol):
+    """Anything that knows heights above the geoid."""
+
+    @property
+    def std_m(self) -> float:
+        """How far its terrain is off the rails' height."""
+        ...
+
+    def at(self, latitude_rad: Array, longitude_rad: Array) -> Array:
+        """Heights of places, m; NaN where it knows none."""
+        ...
+
+
 @dataclass(frozen=True)
 class Tile:
     """One degree of latitude and longitude."""
@@ -66,6 +82,10 @@ class Tile:
     west_deg: int
     height: NDArray[np.int16]
     """Above the geoid, m; first row in the north; shape (n, n), edges included."""
+
+    @property
+    def std_m(self) -> float:
+        return TERRAIN_STD_M
 
     def at(self, latitude_rad: Array, longitude_rad: Array) -> Array:
         """Height above the geoid by bilinear interpolation, m; NaN outside and beside voids."""
@@ -91,14 +111,21 @@ class Tile:
         return np.where(void, np.nan, total)
 
 
-def read(path: Path) -> Tile:
-    """Read a tile.
+def read(path: Path) -> Heights:
+    """Read a tile, or look over a raster in any coordinate system.
 
     Raises
     ------
     ConfigError
         One sentence with the file and what is wrong with it.
     """
+    if path.suffix.lower() in raster.SUFFIXES:
+        return raster.read(path)
+    return read_tile(path)
+
+
+def read_tile(path: Path) -> Tile:
+    """Read an SRTM tile; see `read`."""
     name = re.fullmatch(r"([NS])(\d{2})([EW])(\d{3})", path.name.split(".")[0].upper())
     if name is None:
         raise ConfigError(f"{path}: a tile is called by its south-west corner, like N50E014.hgt")
@@ -114,7 +141,7 @@ def read(path: Path) -> Tile:
     return Tile(south, west, np.frombuffer(data, dtype=">i2").reshape(size, size))
 
 
-def terrain_m(tiles: Sequence[Tile], geodetic: Array) -> Array:
+def terrain_m(tiles: Sequence[Heights], geodetic: Array) -> Array:
     """Height of the terrain above the geoid, from the first tile that has it; else NaN.
 
     Parameters
@@ -128,12 +155,31 @@ def terrain_m(tiles: Sequence[Tile], geodetic: Array) -> Array:
     return found
 
 
-def lift(network: Network, tiles: Sequence[Tile], geoid_m: float) -> Network:
+def terrain_std_m(
+    network: Network, tiles: Sequence[Heights], geodetic: Array, sample: Integers
+) -> Array:
+    """How far the terrain of `terrain_m` is off the rails at places, m: more off the ground.
+
+    Parameters
+    ----------
+    sample : ndarray, shape (n,)
+        Of the network, next to each place.
+    """
+    std = np.full(len(geodetic), np.nan)
+    for tile in tiles:
+        here = np.isnan(std) & np.isfinite(tile.at(geodetic[:, 0], geodetic[:, 1]))
+        std[here] = tile.std_m
+    deviation: Array = std * _off_ground(network)[sample]
+    return deviation
+
+
+def lift(network: Network, tiles: Sequence[Heights], geoid_m: float) -> Network:
     """Give a network heights and grades; see the module."""
     knots = _knots(network)
     geodetic = network.geodetic_of(np.column_stack([network.east, network.north])[knots.sample])
     terrain = terrain_m(tiles, geodetic)
-    height, grade, grade_std = _solved(network, knots, terrain)
+    terrain_std = terrain_std_m(network, tiles, geodetic, knots.sample)
+    height, grade, grade_std = _solved(network, knots, terrain, terrain_std)
     counts = np.diff(network.starts)
     samples = (np.empty(len(network.east), dtype=np.float32) for _ in range(3))
     heights, grades, stds = samples
@@ -189,7 +235,9 @@ def _knots(network: Network) -> _Knots:
     return _Knots(*map(np.array, (sample, intervals, begin, end, length)))
 
 
-def _solved(network: Network, knots: _Knots, terrain: Array) -> tuple[Array, Array, Array]:
+def _solved(
+    network: Network, knots: _Knots, terrain: Array, terrain_std: Array
+) -> tuple[Array, Array, Array]:
     """Heights of knots, grade of intervals and its deviation; m, rad, rad.
 
     Least squares of four kinds of rows, each divided by its deviation: terrain, no grade, no change
@@ -210,7 +258,7 @@ def _solved(network: Network, knots: _Knots, terrain: Array) -> tuple[Array, Arr
     level = sparse.diags(np.sqrt(knots.length_m / q) / GRADE_REACH_M) @ rise
     smooth = sparse.diags(1 / np.sqrt(q * apart)) @ change
     seen = ~np.isnan(terrain)
-    weight = np.where(seen, 1 / _terrain_std(network, knots), 0.0)
+    weight = np.where(seen, 1 / (np.where(seen, terrain_std, 1.0) * _shared(knots)), 0.0)
     rows = sparse.vstack([sparse.diags(weight), level, smooth, sparse.eye(count) / _VAGUE_M])
     rows = rows.tocsr()
     solver: Any = splu((rows.T @ rows).tocsc())
@@ -244,8 +292,8 @@ def _neighbours(network: Network, knots: _Knots) -> tuple[Integers, Integers, Ar
     )
 
 
-def _terrain_std(network: Network, knots: _Knots) -> Array:
-    """Deviation of each knot's terrain, m: neighbours within a pixel are no independent ones."""
+def _off_ground(network: Network) -> Array:
+    """By how much larger terrain's error is at each sample of a network."""
     factor = np.ones(len(network.east))
     for way in network.ways:
         if any(
@@ -254,9 +302,13 @@ def _terrain_std(network: Network, knots: _Knots) -> Array:
             spacing, first = float(network.spacing_m[way.track]), int(network.starts[way.track])
             begin, end = round(way.from_m / spacing), round(way.to_m / spacing)
             factor[first + begin : first + end + 1] = OFF_GROUND
+    return factor
+
+
+def _shared(knots: _Knots) -> Array:
+    """How much less a knot's terrain tells: neighbours within a pixel are not independent."""
     span = np.zeros(len(knots.sample))
     for side in (knots.begin, knots.end):
         np.add.at(span, side, knots.length_m / 2)
-    shared = np.sqrt(np.maximum(TERRAIN_REACH_M / np.maximum(span, 0.05), 1.0))
-    deviation: Array = TERRAIN_STD_M * factor[knots.sample] * shared
-    return deviation
+    shared: Array = np.sqrt(np.maximum(TERRAIN_REACH_M / np.maximum(span, 0.05), 1.0))
+    return shared
