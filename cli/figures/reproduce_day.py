@@ -11,8 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tramstream.analysis.studies import day as study
-from tramstream.analysis.studies.day import Case, Growth, Part
+from tramstream.analysis.worlds import day as study
+from tramstream.analysis.worlds.day import Case, Growth, Part
 from tramstream.cli.figures.options import Options
 from tramstream.cli.terminal.session import say, stop_on_signals
 from tramstream.errors import ConfigError

@@ -11,9 +11,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tramstream.analysis.studies import endurance as study
-from tramstream.analysis.studies.endurance import Found
-from tramstream.analysis.studies.endurance_vehicle import BUS, DBC, MINUTE_S, RECEIVER, Case
+from tramstream.analysis.endurance import study
+from tramstream.analysis.endurance.study import Found
+from tramstream.analysis.endurance.vehicle import BUS, DBC, MINUTE_S, RECEIVER, Case
 from tramstream.cli.figures.options import Options
 from tramstream.cli.terminal.session import say, stop_on_signals
 from tramstream.clock import S

@@ -11,12 +11,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tramstream.analysis.studies import matching, worlds_sums
-from tramstream.analysis.studies import worlds as study
+from tramstream.analysis.studies import matching
 from tramstream.analysis.studies.kaspar2023 import BUILT_IN
-from tramstream.analysis.studies.worlds import Case, Figures
-from tramstream.analysis.studies.worlds_sums import Sum
-from tramstream.analysis.studies.worlds_table import TODAY, WORLDS, World
+from tramstream.analysis.worlds import study
+from tramstream.analysis.worlds import sums as worlds_sums
+from tramstream.analysis.worlds.study import Case, Figures
+from tramstream.analysis.worlds.sums import Sum
+from tramstream.analysis.worlds.table import TODAY, WORLDS, World
 from tramstream.cli.figures.options import Options
 from tramstream.cli.terminal import pool
 from tramstream.cli.terminal.pool import Job

@@ -11,10 +11,10 @@ from msgspec.structs import replace
 from networks import PARALLEL_M, Made, after, curved, laid, left_of, made, straight
 
 from tramstream import config
-from tramstream.analysis.studies import day as study
-from tramstream.analysis.studies import day_way
-from tramstream.analysis.studies.day import Case, Part, Setting
-from tramstream.analysis.studies.worlds import base
+from tramstream.analysis.worlds import day as study
+from tramstream.analysis.worlds import day_way
+from tramstream.analysis.worlds.day import Case, Part, Setting
+from tramstream.analysis.worlds.study import base
 from tramstream.errors import ConfigError
 from tramstream.graph import Graph
 from tramstream.processors.resampling.resampler import Resampler

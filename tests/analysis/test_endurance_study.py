@@ -11,9 +11,10 @@ from live import short_folder
 from record_samples import START_NS
 
 from tramstream import keys
-from tramstream.analysis.studies import endurance, endurance_vehicle
-from tramstream.analysis.studies.endurance import Case, Found, Sample
-from tramstream.analysis.studies.endurance_books import Books, Numbers
+from tramstream.analysis.endurance import study as endurance
+from tramstream.analysis.endurance import vehicle as endurance_vehicle
+from tramstream.analysis.endurance.books import Books, Numbers
+from tramstream.analysis.endurance.study import Case, Found, Sample
 from tramstream.bridges.gnss import ubx
 from tramstream.bridges.gnss.capture import epoch_times
 from tramstream.clock import S

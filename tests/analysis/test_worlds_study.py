@@ -10,12 +10,11 @@ import pytest
 from msgspec.structs import replace
 
 from tramstream.analysis.evaluate.errors import errors
-from tramstream.analysis.studies import worlds as study
-from tramstream.analysis.studies import worlds_sums as sums
 from tramstream.analysis.studies.states import SaidStates, truth_at
-from tramstream.analysis.studies.worlds import Case, Figures, Raised
-from tramstream.analysis.studies.worlds_events import at_speed_s, corners_s
-from tramstream.analysis.studies.worlds_table import TODAY, WORLDS, World, changed, world_of
+from tramstream.analysis.worlds import study, sums
+from tramstream.analysis.worlds.moments import at_speed_s, corners_s
+from tramstream.analysis.worlds.study import Case, Figures, Raised
+from tramstream.analysis.worlds.table import TODAY, WORLDS, World, changed, world_of
 from tramstream.simulation.vehicle import configuration
 
 LONG_S = 300.0

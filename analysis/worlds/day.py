@@ -24,11 +24,11 @@ from tramstream.analysis.evaluate import consistency
 from tramstream.analysis.evaluate.consistency import NEES_SLOTS
 from tramstream.analysis.evaluate.errors import errors
 from tramstream.analysis.studies import matching
-from tramstream.analysis.studies.day_way import Day, day
 from tramstream.analysis.studies.matching_columns import Said
 from tramstream.analysis.studies.matching_figures import TRACK
 from tramstream.analysis.studies.states import SaidStates, truth_at
-from tramstream.analysis.studies.worlds import FREE, MAPPED, SEED, base
+from tramstream.analysis.worlds.day_way import Day, day
+from tramstream.analysis.worlds.study import FREE, MAPPED, SEED, base
 from tramstream.clock import S
 from tramstream.events.kinds import Severity
 from tramstream.graph import Graph

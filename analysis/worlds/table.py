@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from tramstream.analysis.studies.worlds_events import (
+from tramstream.analysis.worlds.moments import (
     Events,
     corner_gaps,
     departure_jump,

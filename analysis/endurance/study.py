@@ -19,8 +19,8 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from tramstream.analysis.studies.endurance_books import Books
-from tramstream.analysis.studies.endurance_vehicle import DEVICE, HOUR, Case, frames_before, prepare
+from tramstream.analysis.endurance.books import Books
+from tramstream.analysis.endurance.vehicle import DEVICE, HOUR, Case, frames_before, prepare
 from tramstream.clock import VehicleClock
 from tramstream.config_file import load
 from tramstream.errors import NodeError, RecordError

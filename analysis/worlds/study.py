@@ -35,7 +35,7 @@ from tramstream.analysis.studies.kaspar2023 import BUILT_IN, line_of
 from tramstream.analysis.studies.matching_columns import Said
 from tramstream.analysis.studies.matching_figures import TRACK
 from tramstream.analysis.studies.states import SaidStates, truth_at
-from tramstream.analysis.studies.worlds_table import TODAY, World, changed, world_of
+from tramstream.analysis.worlds.table import TODAY, World, changed, world_of
 from tramstream.clock import S
 from tramstream.errors import ConfigError
 from tramstream.events.kinds import Severity

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tramstream.analysis.studies.worlds import Case, Figures, said
-from tramstream.analysis.studies.worlds_table import TODAY, world_of
+from tramstream.analysis.worlds.study import Case, Figures, said
+from tramstream.analysis.worlds.table import TODAY, world_of
 
 RATIO, OVER_BOUND, NEES, BEYOND, TRACK = 1.5, 1.15, (0.5, 2.0), 0.01, 0.995
 """Wanted (docs/accuracy.md, *Worlds*): P90 over today's, or over its own bound, NEES a dimension,
