@@ -60,7 +60,7 @@ def template() -> str:
     from tramstream.config_file import SECTIONS
     from tramstream.settings_file import scalars, section, settings_of
 
-    parts = [HEAD, scalars(Vehicle, EXAMPLE, without=[SECTIONS]) + CALIBRATION]
+    parts = [HEAD, scalars(Vehicle, EXAMPLE, without=[SECTIONS])]
     for setting in settings_of(Vehicle):
         if setting.section is None or setting.name == "calibrated":  # written by the loader
             continue
@@ -111,11 +111,6 @@ HEAD = """\
 # what it may be. A field that does not exist is refused. Units stand in the names: _m, _s, _hz,
 # _mps … Paths are relative to this file. A section that is left out ([gnss], [imu] or [odometer])
 # leaves the device out.
-"""
-CALIBRATION = """\
-# File with fields of [imu], [wheels] and [gnss] that `tramstream allan` and its like found, each of
-# them stated there or here. `tramstream config` shows where a value comes from.
-#calibration = "calibration.toml"
 """
 HEADINGS = {
     "gnss": "Devices",

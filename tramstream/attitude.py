@@ -55,7 +55,7 @@ def C_bv_of(imu: Imu | None) -> Array:
     -------
     C_bv : ndarray, shape (3, 3)
     """
-    if imu is not None and imu.mounting_q_bv is not None:
+    if imu is not None and imu.mounting_q_bv:
         return np.array(mounting.matrix_of(mounting.unit(imu.mounting_q_bv)))
     return C_vl(*np.radians(imu.mounting_deg if imu is not None else (0.0, 0.0, 0.0)))
 

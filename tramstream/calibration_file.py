@@ -67,7 +67,9 @@ def merge(raw: dict[str, Any], name: str, folder: Path) -> dict[str, Any]:
         return raw
     merged = dict(raw)
     place = merged.pop(FIELD)
-    if not isinstance(place, str) or not place:
+    if place == "":
+        return merged
+    if not isinstance(place, str):
         raise ConfigError(f"{name}: $.{FIELD}: must be the name of a file")
     path = (folder / place).absolute()
     sections, provenance = read(path)

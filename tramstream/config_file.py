@@ -63,7 +63,7 @@ def _one_mounting(vehicle: Vehicle, raw: dict[str, Any], name: str) -> Vehicle:
         If both are stated, and are different turns.
     """
     imu = vehicle.imu
-    if imu is None or imu.mounting_q_bv is None:
+    if imu is None or not imu.mounting_q_bv:
         return vehicle
     try:
         whole = mounting.unit(imu.mounting_q_bv)

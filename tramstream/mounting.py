@@ -11,6 +11,8 @@ import math
 
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Stated = tuple[float, ...]
+"""A quaternion, or nothing."""
 Matrix = tuple[Triple, Triple, Triple]
 
 UNIT_TOLERANCE = 1e-3
@@ -40,14 +42,16 @@ def product(p: Quaternion, q: Quaternion) -> Quaternion:
     )
 
 
-def unit(q: Quaternion) -> Quaternion:
+def unit(q: Stated) -> Quaternion:
     """The same turn, of size 1.
 
     Raises
     ------
     ValueError
-        If the size is not nearly 1 already.
+        If it is none, or its size is not nearly 1 already.
     """
+    if len(q) != 4:
+        raise ValueError(f"`mounting_q_bv` has {len(q)} numbers; a quaternion has 4: w x y z")
     size = math.sqrt(sum(each * each for each in q))
     if abs(size - 1.0) > UNIT_TOLERANCE:
         raise ValueError(f"`mounting_q_bv` has the size {size:.6g}; that of a turn is 1")
@@ -81,7 +85,7 @@ def between_rad(p: Quaternion, q: Quaternion) -> float:
     return 2 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
-def check(mounting_deg: Triple, q: Quaternion | None) -> None:
+def check(mounting_deg: Triple, q: Stated) -> None:
     """Refuse angles and a quaternion that are different turns.
 
     Raises
@@ -89,7 +93,7 @@ def check(mounting_deg: Triple, q: Quaternion | None) -> None:
     ValueError
         Also for a quaternion that is no turn.
     """
-    if q is not None and between_rad(quaternion_of(mounting_deg), unit(q)) > SAME_RAD:
+    if q and between_rad(quaternion_of(mounting_deg), unit(q)) > SAME_RAD:
         raise ValueError("`mounting_deg` and `mounting_q_bv` are different turns: state one")
 
 

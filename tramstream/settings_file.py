@@ -300,9 +300,8 @@ def _within(setting: Setting, outer: _Section, told: set[type]) -> Iterator[str]
     assert setting.section is not None
     given = outer.values.get(setting.name, setting.default)
     path = f"{outer.path}.{key_text(setting.name)}"
-    live = outer.live and (
-        setting.required or setting.name in outer.values or bool(setting.default)
-    )
+    named = setting.name in outer.values and (setting.shape == "one" or bool(given))
+    live = outer.live and (setting.required or named or bool(setting.default))
     each: list[tuple[str, Mapping[str, Any]]]
     if setting.shape == "named":
         each = [(f"{path}.{key_text(key)}", one) for key, one in (given or {FREE_NAME: {}}).items()]

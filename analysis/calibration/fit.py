@@ -179,16 +179,18 @@ class _Search:
         best = (self._polished("BK", each, 60) for each in (starts[0], others[0]))
         return min(best, key=lambda found: found[0])[1]
 
-    def _choose_octaves(self, noise: Noise) -> None:
+    def _choose_octaves(self, x: Array) -> None:
         """Use octaves within blocks, from the longest, as long as they are white noise."""
-        blocks = self._blocks
+        blocks, noise = self._blocks, self._of("BK", x)
         for number in range(1, len(blocks.half_s) + 1):
             which = len(blocks.half_s) - number
             count, half_s = int(blocks.details[which]), float(blocks.half_s[which])
             known = self._found(noise)
             expected = 2 * known.white**2 * float(noise.allan_variance(half_s))
             ratio = float(blocks.squares[which]) / max(count, 1) / expected
-            spread = math.sqrt(2 / max(count, 1) + 2 / max(known.count, 1))
+            # Beside a strong walk means of blocks know N less well than their number says.
+            std = self._std("BK", "BK", x, known)["N"]
+            spread = math.sqrt(2 / max(count, 1) + 4 * std**2)
             if not ratio > 0 or abs(math.log(ratio)) > _NOT_WHITE * spread:
                 return
             self._octaves = number
@@ -199,7 +201,7 @@ class _Search:
         """Search, decide what is seen, and reckon how well."""
         _, walk = self._walk_alone()
         x = self._with_instability(float(walk[0]))
-        self._choose_octaves(self._of("BK", x))
+        self._choose_octaves(x)
         alone, walk = self._walk_alone()
         whole, x = self._polished("BK", x)
         without_walk, unstable = self._polished("B", x[:2])

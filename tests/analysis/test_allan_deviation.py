@@ -90,7 +90,9 @@ def test_gauss_markov_has_its_series_and_its_peak() -> None:
     np.testing.assert_allclose(gauss_markov(x), 2 * x / 3 - x**2 / 2, rtol=1e-6)
     grid = np.linspace(1.0, 3.0, 2001)
     peak = float(grid[np.argmax(gauss_markov(grid))])
-    assert peak == pytest.approx(1.89, abs=0.01)  # the work's constants, docs/theory.md
+    assert peak == pytest.approx(
+        1.89, abs=0.01
+    )  # the work's constants: docs/theory.md, section 3.1
     flat = math.sqrt(float(Noise(1e-9, 1.0, 1.0).allan_variance(peak)))
     assert flat == pytest.approx(0.664, abs=0.003)
 
