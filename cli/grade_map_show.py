@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-
-if TYPE_CHECKING:
-    from tramstream.analysis.grade_map.assemble import GradeMap
 
 
 def show(
@@ -46,10 +43,10 @@ def show(
     if as_json:
         print(shown_json(json.dumps(figures, ensure_ascii=False)))
     else:
-        _print(made, figures)
+        _print(figures)
 
 
-def _print(made: GradeMap, figures: dict[str, Any]) -> None:
+def _print(figures: dict[str, Any]) -> None:
     import sys
 
     from rich.console import Console

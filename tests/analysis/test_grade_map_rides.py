@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -11,8 +13,9 @@ from graded import Going, hills, places_of, states_of, straight_track, write_smo
 from networks import LEVEL, switch, town
 
 from tramstream import config_file
+from tramstream.analysis.grade_map import record
 from tramstream.analysis.grade_map.cells import CELL_M, cells_of
-from tramstream.analysis.grade_map.passes import Passes, Way, passes_of
+from tramstream.analysis.grade_map.passes import Passes, Ride, Way, passes_of
 from tramstream.analysis.grade_map.record import Refused, level_ground, why_anew
 from tramstream.analysis.grade_map.slope import NOD_STD, nod_of, slope_of
 from tramstream.config import Map, Vehicle
@@ -156,8 +159,8 @@ def test_states_count_as_they_are_where_no_grades_were_in_them(tmp_path, metadat
     going = Going((0,), length_m=60.0)
     path = write_smoothed(tmp_path / "a.mcap", states_of(straight_track(), going), metadata)
     text = metadata.get("config")
-    with open_record(path) as record:
-        told = why_anew(record, msgspec.json.decode(text, type=Vehicle) if text else None)
+    with open_record(path) as opened:
+        told = why_anew(opened, msgspec.json.decode(text, type=Vehicle) if text else None)
     assert anew in told
     assert bool(told) == bool(anew)
 
@@ -170,17 +173,15 @@ def test_ride_is_known_by_its_content_and_by_what_it_was_made_from(tmp_path: Pat
     copy.write_bytes(one.read_bytes())
     digests = []
     for path in (one, other, copy):
-        with open_record(path) as record:
-            digests.append(identity_of(record))
+        with open_record(path) as opened:
+            digests.append(identity_of(opened))
     assert digests[0] == digests[2] != digests[1]
     made = write_smoothed(tmp_path / "made.mcap", states, {ENTRY: digests[0]})
-    with open_record(made) as record:
-        assert identity_of(record) == digests[0]
+    with open_record(made) as opened:
+        assert identity_of(opened) == digests[0]
 
 
 def test_network_for_smoothing_has_no_grades() -> None:
-    from dataclasses import replace
-
     network = straight_track()
     level = np.zeros(len(network.east), np.float32)
     steep = replace(network, grade_rad=level + np.float32(0.03), grade_std_rad=level + 1)
@@ -190,3 +191,26 @@ def test_network_for_smoothing_has_no_grades() -> None:
 
 def test_refusal_says_which_record_and_why() -> None:
     assert Refused("a.mcap", "", "why")._asdict()["why"] == "why"
+
+
+def test_ride_that_was_held_to_grades_is_smoothed_anew_without_them(tmp_path, monkeypatch) -> None:
+    """The processors get the network without grades, whatever the record's own one had."""
+    network = straight_track()
+    level_net = tmp_path / "level.net"
+    level_ground(network).save(level_net)
+    going = Going((0,), length_m=200.0)
+    metadata = {GRADES_ENTRY: "1f2e", "config": config_file.to_json(vehicle("steep.net"))}
+    path = write_smoothed(tmp_path / "a.mcap", states_of(network, going), metadata, inertial=True)
+    asked = {}
+
+    def rerun(source: Path, out: Path, config: Vehicle, **wishes: bool) -> SimpleNamespace:
+        asked.update(wishes, source=source, network=config.map.network)
+        write_smoothed(out, states_of(network, going))
+        return SimpleNamespace(damaged="")
+
+    monkeypatch.setattr(record, "rerun", rerun)
+    ride = record.ride_of(path, level_net)
+    assert isinstance(ride, Ride), ride
+    assert ride.smoothed
+    assert asked == {"fresh": True, "smooth": True, "source": path, "network": str(level_net)}
+    assert np.abs(error(network, ride.passes)).max() < CELL_ERROR_RAD

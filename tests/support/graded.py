@@ -24,6 +24,7 @@ from tramstream.mapping.lines import path_of
 from tramstream.processors.matching.offline import Place
 from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.health_pb2 import ClockReference
+from tramstream.proto.raw_pb2 import ImuBatch
 from tramstream.recorder.file.writer import RecordFile
 from tramstream.tracks.grades import GRADES_ENTRY, NO_GRADES
 from tramstream.tracks.network import Network
@@ -219,9 +220,14 @@ def places_of(network: Network, going: Going, states: StateSeries) -> list[Place
 
 
 def write_smoothed(
-    path: Path, states: StateSeries, metadata: dict[str, str] | None = None, seed: int = 0
+    path: Path,
+    states: StateSeries,
+    metadata: dict[str, str] | None = None,
+    seed: int = 0,
+    inertial: bool = False,
 ) -> Path:
-    """A record that holds smoothed states and nothing else; UTC is 7 s ahead of its clock."""
+    """A record that holds smoothed states and nothing else, or one inertial message as well; UTC is
+    7 s ahead of its clock."""
     told = {GRADES_ENTRY: NO_GRADES} if metadata is None else metadata
     with RecordFile(path, VEHICLE, told) as record:
 
@@ -231,6 +237,8 @@ def write_smoothed(
 
         reference = ClockReference(stamp_ns=seed, host_utc_ns=seed + 7 * S)
         append(keys.CLOCK, reference, int(states.stamp_ns[0]), 1)
+        if inertial:
+            append(keys.IMU_BATCH, ImuBatch(stamp_ns=1), int(states.stamp_ns[0]), 1)
         for k, stamp_ns in enumerate(states.stamp_ns.tolist()):
             latitude_deg, longitude_deg = np.degrees(states.geodetic[k, :2]).tolist()
             state = MotionState(
