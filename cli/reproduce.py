@@ -37,7 +37,8 @@ def reproduce(
             "default). chladek2023: FILE.geojson with lines 7 and 20; default "
             "../shared/data/maps/prague/lines_7_20.geojson. matching: LINE/DIRECTION or LINE; "
             "default all of the network. worlds: as matching with --net (default 7/0), else as "
-            "kaspar2023. day: default 7/0 and 7/1. grade: as kaspar2023. May be given several times.",
+            "kaspar2023. day: default 7/0 and 7/1. grade: as kaspar2023. May be given "
+            "several times.",
             metavar="LINE",
         ),
     ] = None,

@@ -38,17 +38,18 @@ def stop(
     distance_m, by_speed_s, by_slope_m : float
         m, m per m/s, m per rad; infinite where the vehicle does not stop.
     """
-    rolling = -GRAVITY * math.sin(slopes[0])
-    reaction_s = min(reaction_s, speed_mps / -rolling) if rolling < 0.0 else reaction_s
-    way = speed_mps * reaction_s + 0.5 * rolling * reaction_s * reaction_s
-    left = max(speed_mps + rolling * reaction_s, 0.0)
-    by_speed, by_slope = reaction_s, -0.5 * GRAVITY * reaction_s * reaction_s
-    # Of the speed at which the brakes begin to hold.
-    begun, slowing = left, 1.0
-    slope_of_speed = -GRAVITY * reaction_s
-    square = left * left
-    piece, rising = int(way / PIECE_M), 0.0
-    place = way
+    holds = GRAVITY * math.sin(slopes[0])
+    stands = holds * reaction_s >= speed_mps
+    if stands:  # before the brakes hold
+        if speed_mps <= 0.0:
+            return 0.0, 0.0, 0.0
+        place = 0.5 * speed_mps * speed_mps / holds
+        return place, speed_mps / holds, -GRAVITY * math.cos(slopes[0]) * place / holds
+    place = speed_mps * reaction_s - 0.5 * holds * reaction_s * reaction_s
+    left = speed_mps - holds * reaction_s
+    square, piece = left * left, int(place / PIECE_M)
+    first = deceleration_mps2 + GRAVITY * math.sin(slopes[min(piece, PIECES - 1)])
+    slowing, rising = first, 0.0
     while square > 0.0:
         slope = slopes[min(piece, PIECES - 1)]
         slowing = deceleration_mps2 + GRAVITY * math.sin(slope)
@@ -56,15 +57,16 @@ def stop(
         if last and slowing <= 0.0:
             return math.inf, math.inf, math.inf
         length = math.inf if last else (piece + 1) * PIECE_M - place
-        after = square - 2.0 * slowing * length
-        if after <= 0.0 and slowing > 0.0:
+        if slowing > 0.0 and square <= 2.0 * slowing * length:
             length = square / (2.0 * slowing)
-            after = 0.0
+            square = 0.0
+        else:
+            square -= 2.0 * slowing * length
         rising += length * math.cos(slope)
         place += length
-        square = after
         piece += 1
-    # d(½ v²) of the begin is taken up by `slowing` at the end; a slope acts on all of the way.
-    by_speed += begun / slowing
-    by_slope += begun * slope_of_speed / slowing - GRAVITY * rising / slowing
+    # ½ v² of the begin, which the reaction has shifted, is taken up by `slowing` at the end.
+    by_speed = (left + first * reaction_s) / slowing
+    shifted = reaction_s * (left + 0.5 * first * reaction_s)
+    by_slope = -GRAVITY * (shifted * math.cos(slopes[0]) + rising) / slowing
     return place, by_speed, by_slope
