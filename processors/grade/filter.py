@@ -20,7 +20,7 @@ from tramstream.config import Vehicle
 from tramstream.estimation.fixes import deviations, measures_height, unusable
 from tramstream.machine.kernels import bound
 from tramstream.processors.grade import kernels
-from tramstream.processors.grade.kernels import GRAVITY, STATES, Ix
+from tramstream.processors.grade.kernels import STATES, Ix
 from tramstream.processors.grade.own_speed import OwnSpeed, SpeedMemory
 from tramstream.processors.grade.settings import Settings
 from tramstream.processors.grade.waiting import State
@@ -126,7 +126,7 @@ class GradeFilter:
         self._follow = bound(kernels.follow, x, P, memory.scatter, *[number] * 8)
         self._take_height = bound(kernels.take_height, x, P, *[number] * 4)
         self._take_climb = bound(kernels.take_climb, x, P, *[number] * 5)
-        self._take_force = bound(kernels.take_force, x, P, *[number] * 5)
+        self._take_force = bound(kernels.take_force, x, P, *[number] * 5, False)
 
     def _begin(self) -> None:
         settings, memory = self._settings, self.memory
@@ -148,7 +148,7 @@ class GradeFilter:
         memory = self.memory
         dt_s = (stamp_ns - memory.stamp_ns) / S if memory.stamp_ns else 0.0
         memory.stamp_ns = stamp_ns
-        pitch, force = self._hear(stamp_ns, state)
+        pitch = self._hear(stamp_ns, state)
         if not memory.state_ns and not memory.own.speed_ns:
             return None
         standing = memory.standing
@@ -163,7 +163,7 @@ class GradeFilter:
             0.0 if standing else speed * dt_s,
             self._shift_m,
             pitch,
-            force,
+            memory.acceleration_mps2,
             memory.pitch_variance,
             memory.fix_variance,
             self._tau_s,
@@ -171,8 +171,8 @@ class GradeFilter:
         bend = float(memory.x[Ix.BEND])
         return Estimate(slope, variance, nod, nod_variance, speed, memory.speed_std_mps, bend)
 
-    def _hear(self, stamp_ns: int, state: State | None) -> tuple[float, float]:
-        """Take a state's motion; its pitch (NaN: none) and specific force along the body."""
+    def _hear(self, stamp_ns: int, state: State | None) -> float:
+        """Take a state's motion; gives its pitch, NaN where there is none."""
         memory = self.memory
         if state is not None:
             memory.state_ns = state.stamp_ns
@@ -182,8 +182,7 @@ class GradeFilter:
                 PITCH_STDS * PITCH_STDS * state.pitch_variance
                 + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
             )
-            force = state.acceleration_mps2 - GRAVITY * math.sin(state.pitch_rad)
-            return state.pitch_rad, force
+            return state.pitch_rad
         if self.away:
             own = self._own.at(stamp_ns)
             if own is not None:
@@ -192,7 +191,7 @@ class GradeFilter:
                 memory.speed_std_mps = 0.1
             # A localiser that comes back has another error.
             memory.pitch_variance = SLOPE_STD_RAD * SLOPE_STD_RAD
-        return math.nan, memory.acceleration_mps2 + GRAVITY * float(memory.x[Ix.SLOPE])
+        return math.nan
 
     @property
     def away(self) -> bool:
@@ -272,8 +271,9 @@ class GradeFilter:
         mass = settings.mass_kg
         force -= settings.drag_n_per_mps2 * speed * abs(speed)
         std = FORCE_STD_MPS2 * max(float(x[Ix.MASS]), 0.1)
+        way, R = math.copysign(1.0, speed), std * std
         y, S_, fits = self._take_force(
-            x, memory.P, force / mass, acceleration, math.copysign(1.0, speed), std * std, math.inf
+            x, memory.P, force / mass, acceleration, way, R, GATE, not self.away
         )
         return Verdict("motor_force", y * mass, S_ * mass * mass, fits)
 

@@ -48,6 +48,10 @@ SCATTER_S = 20.0
 SHAKES_S = 0.3
 """A body shakes with 1 to 2 Hz: so long apart two of its pitches tell anything new."""
 GRAVITY = 9.81
+MASS_KNOWN = 0.05
+"""A mass that is known by this part of itself makes the force tell the slope."""
+LEAST_MASS = 0.05
+"""Of that of the settings."""
 
 
 @compiled
@@ -118,7 +122,7 @@ def follow(
     way_m: float,
     shift_m: float,
     pitch_rad: float,
-    force_mps2: float,
+    acceleration_mps2: float,
     pitch_variance: float,
     fix_variance: float,
     fix_tau_s: float,
@@ -131,8 +135,8 @@ def follow(
         Mean square of what the pitch shows beside the prediction; changed in place.
     pitch_rad : float
         θ of the body, nose down positive; NaN where there is none.
-    force_mps2 : float
-        Specific force f along the body, which bends its springs.
+    acceleration_mps2 : float
+        v̇; the springs feel the specific force f = v̇ + g α along the track.
     pitch_variance : float
         How large e may be, rad².
 
@@ -153,8 +157,9 @@ def follow(
             H[offset] = 1.0
             R = 1.0 / (1.0 / variance - 1.0 / P[offset, offset])
             update(x, P, H, -x[offset], R, math.inf)
-        H[slope], H[spring], H[offset] = 1.0, force_mps2, 1.0
-        y = -pitch_rad - (x[slope] + force_mps2 * x[spring] + x[offset])
+        force = acceleration_mps2 + GRAVITY * x[slope]
+        H[slope], H[spring], H[offset] = 1.0 + GRAVITY * x[spring], force, 1.0
+        y = -pitch_rad - (x[slope] + force * x[spring] + x[offset])
         R = LEAST_PITCH_STD_RAD * LEAST_PITCH_STD_RAD + scatter[0] * SHAKES_S / max(dt_s, 1e-3)
         y, S, _ = update(x, P, H, y, R, math.inf)
         if way_m != 0.0:
@@ -162,12 +167,13 @@ def follow(
             share = min(dt_s / SCATTER_S, 1.0)
             scatter[0] += share * (max(y * y - known, 0.0) - scatter[0])
     ahead = P[slope, slope] + 2.0 * shift_m * P[slope, bend] + shift_m * shift_m * P[bend, bend]
-    nod = -x[spring] * force_mps2
+    force = acceleration_mps2 + GRAVITY * x[slope]
+    nod = -x[spring] * force
     return (
         x[slope] + shift_m * x[bend],
         ahead,
         nod,
-        force_mps2 * force_mps2 * P[spring, spring],
+        force * force * P[spring, spring],
     )
 
 
@@ -195,9 +201,20 @@ def take_climb(
 
 @compiled
 def take_force(
-    x: Array, P: Array, force_mps2: float, acceleration: float, way: float, R: float, gate: float
+    x: Array,
+    P: Array,
+    force_mps2: float,
+    acceleration: float,
+    way: float,
+    R: float,
+    gate: float,
+    led: bool,
 ) -> tuple[float, float, bool]:
     """Take the motor force, less drag, over the settings' mass: z = u (v̇ + g α + g c sign v).
+
+    A mass that is not known makes a force no slope. Then, and where a localiser tells the slope
+    better than the rolling resistance is known (`led`), slope and all else are considered with what
+    is not known of them, and not changed (Schmidt-Kalman filter).
 
     Parameters
     ----------
@@ -210,4 +227,23 @@ def take_force(
     u = x[Ix.MASS]
     lacking = acceleration + GRAVITY * (x[Ix.SLOPE] + way * x[Ix.ROLLING])
     H[Ix.MASS], H[Ix.SLOPE], H[Ix.ROLLING] = lacking, u * GRAVITY, u * GRAVITY * way
-    return update(x, P, H, force_mps2 - u * lacking, R, gate)
+    y = force_mps2 - u * lacking
+    if led or P[Ix.MASS, Ix.MASS] > MASS_KNOWN * MASS_KNOWN * u * u:
+        return _consider(x, P, H, y, R)
+    return update(x, P, H, y, R, gate)
+
+
+@compiled
+def _consider(x: Array, P: Array, H: Array, y: float, R: float) -> tuple[float, float, bool]:
+    """Take a scalar that changes mass and rolling resistance alone."""
+    g = P @ H
+    S = R + H @ g
+    K = np.zeros(x.shape[0])
+    for k in (Ix.MASS, Ix.ROLLING):
+        K[k] = g[k] / S
+        x[k] += K[k] * y
+    x[Ix.MASS] = max(x[Ix.MASS], LEAST_MASS)
+    for i in range(x.shape[0]):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = P[i, j] - K[i] * g[j] - g[i] * K[j] + K[i] * K[j] * S
+    return y, S, True

@@ -26,7 +26,9 @@ from tramstream.proto.sync_pb2 import SyncFrame
 
 Array = NDArray[np.float64]
 START_NS = 1_790_000_000 * S
-FRAME_S = 0.01
+FRAME_S = 0.02
+"""Half as many frames as live: a ride of three minutes takes a second."""
+FIX_FRAMES = 10
 GRAVITY = 9.81
 M_PER_PULSE = 0.001
 DRAG = 9.13
@@ -36,7 +38,7 @@ DRAG = 9.13
 class Slopes:
     """A ride from stop to stop, and what is told of it; fields are of the truth."""
 
-    duration_s: float = 300.0
+    duration_s: float = 180.0
     direction: float = 1.0
     """-1: the vehicle runs backwards, along the same line."""
     nod: float = 0.005
@@ -114,14 +116,14 @@ class Slopes:
         for k, time_s in enumerate(self.time_s.tolist()):
             stamp_ns = START_NS + round(time_s * S)
             frame = SyncFrame(stamp_ns=stamp_ns, sequence=k + 1)
-            if k % 2 == 0 and self.wheels:
+            if self.wheels:
                 pulses = math.floor(place[k] / M_PER_PULSE)
                 frame.odometry.add(
                     stamp_ns=stamp_ns, wheels=[WheelReading(wheel="middle", pulses=pulses)]
                 )
                 if self.forced:
                     frame.odometry[0].motor_force_n = motor[k]
-            if k % 20 == 0 and self.fixes:
+            if k % FIX_FRAMES == 0 and self.fixes:
                 error = 0.99 * error + 0.14 * rng.standard_normal()
                 jump = self.height_jump_m if time_s > self.duration_s / 2 else 0.0
                 climb = speed[k] * under[k] + 0.05 * rng.standard_normal()

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from slopes import Found, Slopes
+from slopes import FRAME_S, Found, Slopes
 
 from tramstream.errors import ConfigError
 from tramstream.processors.grade.processor import GradeEstimator
@@ -35,7 +35,7 @@ def test_springs_that_are_none_are_found_to_be_none() -> None:
 def test_body_pitch_is_that_of_the_springs_nose_down_when_braking() -> None:
     found = Found(Slopes(settings=TOLD))
     speed, change, place = found.ride.motion()
-    rows = np.rint(found.time_s / 0.01).astype(int) - 1
+    rows = np.rint(found.time_s / FRAME_S).astype(int) - 1
     force = change[rows] + 9.81 * found.slope
     said = np.array([each.body_pitch_rad for each in found.states])
     settled = found.time_s > 60.0

@@ -75,11 +75,18 @@ MEASURED = {
     ),
 }
 """h(x), as docs/theory.md, section 18, has them."""
+
+
+def known_mass(x: Any, P: Any, way: float) -> tuple[float, float, bool]:
+    """Take a force with a mass of one that is known."""
+    return kernels.take_force(x, P, 1.0, 0.4, way, 0.5, 1e9, False)
+
+
 TAKEN = {
     "height": lambda x, P: kernels.take_height(x, P, 1.0, 3.0, 0.5, 1e9),
     "climb": lambda x, P: kernels.take_climb(x, P, 1.0, 7.0, 6.2, 0.5, 1e9),
-    "force, forwards": lambda x, P: kernels.take_force(x, P, 1.0, 0.4, 1.0, 0.5, 1e9),
-    "force, backwards": lambda x, P: kernels.take_force(x, P, 1.0, 0.4, -1.0, 0.5, 1e9),
+    "force, forwards": lambda x, P: known_mass(x, P, 1.0),
+    "force, backwards": lambda x, P: known_mass(x, P, -1.0),
 }
 
 
