@@ -31,10 +31,13 @@ Array = NDArray[np.float64]
 
 SLOPE_STD_RAD = 0.03
 """Before anything is known; Prague's steepest tram track has 0.09."""
-PITCH_STDS = 2.0
+PITCH_STDS = math.sqrt(2.0)
 """The localiser's pitch is trusted by so many of its own deviations."""
 LEAST_OFFSET_STD_RAD = 3e-4
 """A localiser that is surer of its pitch knows no cross-axis and no scale of its accelerometer."""
+NOD_MPS2 = 0.25
+"""A localiser that takes the body's nod for slope errs by what springs do under so much: a quarter
+of what they do in braking (`reproduce grade`, world body)."""
 FIX_STDS = 1.5
 """A height is worse than the receiver says, which is too sure of itself in streets."""
 HEIGHT_NOISE_M = 0.3
@@ -181,6 +184,7 @@ class GradeFilter:
             memory.pitch_variance = (
                 PITCH_STDS * PITCH_STDS * state.pitch_variance
                 + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
+                + (NOD_MPS2 * float(memory.x[Ix.SPRING])) ** 2
             )
             return state.pitch_rad
         if self.away:

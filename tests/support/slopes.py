@@ -38,7 +38,7 @@ DRAG = 9.13
 class Slopes:
     """A ride from stop to stop, and what is told of it; fields are of the truth."""
 
-    duration_s: float = 180.0
+    duration_s: float = 125.0
     direction: float = 1.0
     """-1: the vehicle runs backwards, along the same line."""
     nod: float = 0.005

@@ -94,6 +94,7 @@ TAKEN = {
 def test_rows_of_h_are_the_derivatives_of_what_is_measured(kind: str) -> None:
     """By finite differences; seen by what an update does with them."""
     x, P = belief()
+    x[Ix.MASS], P = 1.0, 1e-4 * P
     h = MEASURED[kind]
     step = 1e-6
     H = np.array([(h(x + step * e) - h(x - step * e)) / (2 * step) for e in np.eye(STATES)])
@@ -104,8 +105,26 @@ def test_rows_of_h_are_the_derivatives_of_what_is_measured(kind: str) -> None:
     np.testing.assert_allclose(x, expected, rtol=1e-5, atol=1e-8)
 
 
-def followed(x: Any, P: Any, pitch: float, force: float, way_m: float = 0.0) -> Any:
-    return kernels.follow(x, P, np.zeros(1), 0.01, way_m, 0.0, pitch, force, 1e-6, 1.0, 20.0)
+def test_force_that_is_led_by_a_localiser_changes_mass_and_rolling_alone() -> None:
+    """Mass moves as by a full update; what is not known of the slope is allowed for."""
+    x, P = belief()
+    x[Ix.MASS], P = 1.0, 1e-4 * P
+    led_x, led_P = x.copy(), P.copy()
+    kernels.take_force(led_x, led_P, 1.0, 0.4, 1.0, 0.01, 1e9, True)
+    full_x, full_P = x.copy(), P.copy()
+    kernels.take_force(full_x, full_P, 1.0, 0.4, 1.0, 0.01, 1e9, False)
+    others = [k for k in Ix if k not in (Ix.MASS, Ix.ROLLING)]
+    assert np.array_equal(led_x[others], x[others])
+    np.testing.assert_array_equal(led_P[np.ix_(others, others)], P[np.ix_(others, others)])
+    assert not np.allclose(full_x[others], x[others])
+    both = [Ix.MASS, Ix.ROLLING]
+    np.testing.assert_allclose(led_x[both], full_x[both], rtol=1e-12)
+    np.testing.assert_allclose(np.diag(led_P)[both], np.diag(full_P)[both], rtol=1e-9)
+    assert np.linalg.eigvalsh(led_P).min() > 0.0
+
+
+def followed(x: Any, P: Any, pitch: float, acceleration: float) -> Any:
+    return kernels.follow(x, P, np.zeros(1), 0.01, 0.0, 0.0, pitch, acceleration, 1e-6, 1.0, 20.0)
 
 
 def fresh() -> tuple[Any, Any]:
@@ -118,19 +137,22 @@ def fresh() -> tuple[Any, Any]:
 def test_vehicle_that_stands_keeps_its_slope_and_learns_it() -> None:
     x, P = fresh()
     for _ in range(500):
-        slope, variance, _, _ = followed(x, P, pitch=-0.02, force=0.0)
+        slope, variance, _, _ = followed(x, P, pitch=-0.02, acceleration=0.0)
     assert slope == pytest.approx(0.02, abs=1e-4)
     assert math.sqrt(variance) == pytest.approx(1e-3, rel=0.1), "the pitch's error stays"
 
 
 def test_pitch_that_changes_while_nothing_moves_is_the_springs_or_an_error_and_no_slope() -> None:
     x, P = fresh()
+    springs, slope = 0.004, 0.02
+    standing, pushed = (-slope - springs * (a + kernels.GRAVITY * slope) for a in (0.0, 1.0))
     for _ in range(500):
-        before, *_ = followed(x, P, pitch=-0.02, force=0.0)
+        followed(x, P, pitch=standing, acceleration=0.0)
     for _ in range(200):
-        after, _, nod, _ = followed(x, P, pitch=-0.024, force=1.0)
-    assert after == pytest.approx(before, abs=2e-4)
-    assert nod == pytest.approx(-0.004, abs=4e-4), "bow up when it speeds up"
+        after, _, nod, _ = followed(x, P, pitch=pushed, acceleration=1.0)
+    assert after == pytest.approx(slope, abs=2e-4)
+    force = 1.0 + kernels.GRAVITY * slope
+    assert nod == pytest.approx(-springs * force, abs=4e-4), "bow up when it speeds up"
 
 
 def test_covariance_stays_positive_over_an_hour_with_gaps_of_the_pitch() -> None:
