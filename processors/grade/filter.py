@@ -31,13 +31,6 @@ Array = NDArray[np.float64]
 
 SLOPE_STD_RAD = 0.03
 """Before anything is known; Prague's steepest tram track has 0.09."""
-PITCH_STDS = math.sqrt(2.0)
-"""The localiser's pitch is trusted by so many of its own deviations."""
-LEAST_OFFSET_STD_RAD = 3e-4
-"""A localiser that is surer of its pitch knows no cross-axis and no scale of its accelerometer."""
-NOD_MPS2 = 0.25
-"""A localiser that takes the body's nod for slope errs by what springs do under so much: a quarter
-of what they do in braking (`reproduce grade`, world body)."""
 FIX_STDS = 1.5
 """A height is worse than the receiver says, which is too sure of itself in streets."""
 HEIGHT_NOISE_M = 0.3
@@ -59,8 +52,22 @@ GATE = 5.0
 REFUSALS = 20
 """So many heights refused in a row: the receiver has another height now."""
 HEIGHT_STD_M = 100.0
+OWN_SPEED_STD_MPS = 0.1
 LOST_S = 1.0
 """A localiser that is silent for so long is away."""
+
+
+UNKNOWN = State(
+    stamp_ns=0,
+    speed_mps=0.0,
+    speed_std_mps=OWN_SPEED_STD_MPS,
+    acceleration_mps2=0.0,
+    pitch_rad=math.nan,
+    pitch_variance=SLOPE_STD_RAD**2,
+    standing=False,
+    mapped=False,
+)
+"""What stands for a localiser that is away."""
 
 
 class Verdict(NamedTuple):
@@ -80,9 +87,12 @@ class Estimate(NamedTuple):
     nod_rad: float
     """Of the body against the track, nose down positive."""
     nod_variance: float
-    speed_mps: float
-    speed_std_mps: float
     bend_per_m: float
+    mass: float
+    """By that of the settings,"""
+    mass_std: float
+    rolling: float
+    rolling_std: float
 
 
 @dataclass
@@ -95,12 +105,8 @@ class FilterMemory:
     stamp_ns: int = 0
     state_ns: int = 0
     """Of the last state of the localiser."""
-    speed_mps: float = 0.0
-    speed_std_mps: float = 1.0
-    acceleration_mps2: float = 0.0
-    standing: bool = False
-    pitch_variance: float = SLOPE_STD_RAD**2
-    """How large the error of the localiser's pitch may be."""
+    state: State = UNKNOWN
+    """The last one, or what stands for it."""
     datum_m: float = math.nan
     """Height of the first fix, from which heights are counted."""
     fix_variance: float = 1.0
@@ -151,51 +157,42 @@ class GradeFilter:
         memory = self.memory
         dt_s = (stamp_ns - memory.stamp_ns) / S if memory.stamp_ns else 0.0
         memory.stamp_ns = stamp_ns
-        pitch = self._hear(stamp_ns, state)
+        pitch = math.nan
+        if state is not None:
+            memory.state, memory.state_ns, pitch = state, state.stamp_ns, state.pitch_rad
+        elif self.away:
+            self._go_alone(stamp_ns)
         if not memory.state_ns and not memory.own.speed_ns:
             return None
-        standing = memory.standing
-        speed = memory.speed_mps
-        if standing:
+        now, way_m = memory.state, 0.0
+        if now.standing:
             memory.P[Ix.MASS, Ix.MASS] += MASS_WALK * MASS_WALK * dt_s / STOP_S
-        slope, variance, nod, nod_variance = self._follow(
+        else:
+            way_m = now.speed_mps * dt_s
+        found = self._follow(
             memory.x,
             memory.P,
             memory.scatter,
             dt_s,
-            0.0 if standing else speed * dt_s,
+            way_m,
             self._shift_m,
             pitch,
-            memory.acceleration_mps2,
-            memory.pitch_variance,
+            now.acceleration_mps2,
+            now.pitch_variance,
             memory.fix_variance,
             self._tau_s,
         )
-        bend = float(memory.x[Ix.BEND])
-        return Estimate(slope, variance, nod, nod_variance, speed, memory.speed_std_mps, bend)
+        return Estimate(*found)
 
-    def _hear(self, stamp_ns: int, state: State | None) -> float:
-        """Take a state's motion; gives its pitch, NaN where there is none."""
-        memory = self.memory
-        if state is not None:
-            memory.state_ns = state.stamp_ns
-            memory.speed_mps, memory.acceleration_mps2 = state.speed_mps, state.acceleration_mps2
-            memory.speed_std_mps, memory.standing = state.speed_std_mps, state.standing
-            memory.pitch_variance = (
-                PITCH_STDS * PITCH_STDS * state.pitch_variance
-                + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
-                + (NOD_MPS2 * float(memory.x[Ix.SPRING])) ** 2
-            )
-            return state.pitch_rad
-        if self.away:
-            own = self._own.at(stamp_ns)
-            if own is not None:
-                memory.speed_mps, memory.acceleration_mps2 = own
-                memory.standing = own[0] == 0.0
-                memory.speed_std_mps = 0.1
+    def _go_alone(self, stamp_ns: int) -> None:
+        """Go on by wheels and fixes, without a localiser."""
+        own = self._own.at(stamp_ns)
+        if own is not None:
+            speed, acceleration = own
             # A localiser that comes back has another error.
-            memory.pitch_variance = SLOPE_STD_RAD * SLOPE_STD_RAD
-        return math.nan
+            self.memory.state = UNKNOWN._replace(
+                speed_mps=speed, acceleration_mps2=acceleration, standing=speed == 0.0
+            )
 
     @property
     def away(self) -> bool:
@@ -243,7 +240,7 @@ class GradeFilter:
         stated = fix.speed_std_mps
         std = CLIMB_STDS * stated if stated > 0.0 else UNSTATED_CLIMB_STD_MPS
         std = max(std, LEAST_CLIMB_STD_MPS)
-        speed = 0.0 if memory.standing else memory.speed_mps
+        speed = 0.0 if memory.state.standing else memory.state.speed_mps
         ahead = self._shift_m + self._lever_m
         y, S_, fits = self._take_climb(
             memory.x, memory.P, -fix.vel_d_mps, speed, ahead, std * std, GATE
@@ -259,11 +256,12 @@ class GradeFilter:
     def take_force(self, force_n: float) -> Verdict | None:
         """Take the motor force; what it says once a tenth of a second."""
         memory = self.memory
-        speed, sums = memory.speed_mps, memory.forces
-        if memory.standing or not abs(speed) > LEAST_SPEED_MPS or not math.isfinite(force_n):
+        now, sums = memory.state, memory.forces
+        speed = now.speed_mps
+        if now.standing or not abs(speed) > LEAST_SPEED_MPS or not math.isfinite(force_n):
             sums[:] = (0.0, 0.0, 0.0, 0.0)
             return None
-        for k, value in enumerate((force_n, memory.acceleration_mps2, speed, 1.0)):
+        for k, value in enumerate((force_n, now.acceleration_mps2, speed, 1.0)):
             sums[k] += value
         if 0 <= memory.stamp_ns - memory.forced_ns < FORCE_S * S:
             return None

@@ -39,6 +39,13 @@ BEND_LENGTH_M = 60.0
 """Over which a bend is forgotten; on these lines it is half after 55 m."""
 OFFSET_TAU_S = 100.0
 """Over which the error of the localiser's pitch is forgotten: its accelerometer's bias walks."""
+PITCH_VARIANCES = 2.0
+"""The localiser's pitch is trusted by half of what it says."""
+LEAST_OFFSET_STD_RAD = 3e-4
+"""A localiser that is surer of its pitch knows no cross-axis and no scale of its accelerometer."""
+NOD_MPS2 = 0.25
+"""A localiser that takes the body's nod for slope errs by what springs do under so much: a quarter
+of what they do in braking (`reproduce grade`, world body)."""
 SPRING_WALK_RAD = 2e-5
 """What κ changes by within √s, per m/s²: temperature, load."""
 LEAST_PITCH_STD_RAD = 2e-4
@@ -126,7 +133,7 @@ def follow(
     pitch_variance: float,
     fix_variance: float,
     fix_tau_s: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float, float]:
     """Go on by a frame and take the localiser's pitch: −θ = α + κ f + e.
 
     Parameters
@@ -138,19 +145,22 @@ def follow(
     acceleration_mps2 : float
         v̇; the springs feel the specific force f = v̇ + g α along the track.
     pitch_variance : float
-        How large e may be, rad².
+        Of the pitch as the localiser states it, rad².
 
     Returns
     -------
-    slope, variance, nod, nod_variance : float
+    slope, variance, nod, nod_variance, bend, mass, mass_std, rolling, rolling_std : float
         At the vehicle's origin, `shift_m` ahead of the point that α is of; of the body against the
-        track, nose down positive.
+        track, nose down positive; a metre; by that of the settings; by the weight.
     """
     slope, bend, spring, offset = Ix.SLOPE, Ix.BEND, Ix.SPRING, Ix.OFFSET
     carry(x, P, dt_s, way_m, shift_m, (fix_variance, math.exp(-dt_s / fix_tau_s)))
     if not math.isnan(pitch_rad):
         # An error that is seen to be larger than stated is no smaller than it is seen to be.
-        variance = max(pitch_variance, x[offset] * x[offset] - P[offset, offset])
+        taken = NOD_MPS2 * x[spring]
+        variance = PITCH_VARIANCES * pitch_variance + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
+        variance += taken * taken
+        variance = max(variance, x[offset] * x[offset] - P[offset, offset])
         _fade(x, P, offset, math.exp(-dt_s / OFFSET_TAU_S), variance)
         H = np.zeros(x.shape[0])
         if P[offset, offset] > 1.01 * variance:  # the localiser has learned
@@ -174,6 +184,11 @@ def follow(
         ahead,
         nod,
         force * force * P[spring, spring],
+        x[bend],
+        x[Ix.MASS],
+        math.sqrt(P[Ix.MASS, Ix.MASS]),
+        x[Ix.ROLLING],
+        math.sqrt(P[Ix.ROLLING, Ix.ROLLING]),
     )
 
 

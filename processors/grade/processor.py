@@ -61,7 +61,7 @@ from tramstream.proto.estimate_pb2 import (
 from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 from tramstream.tracks import network as networks
 
-STOPPING_EVERY_NS = S // 5
+STOPPING_EVERY_NS = S // 2
 LEAST_STD_RAD = 1e-4
 """A rail is no line: slopes of neighbouring metres differ by a hundredth of a percent."""
 MATCHED_S = 0.5
@@ -127,6 +127,7 @@ class GradeEstimator(Processor):
         self._in_use = InUse(memory.in_use)
         self._way = _way_of(vehicle)
         self._stop = bound(stop, known_now(0.0, 1.0, 0.0).slopes, 0.5, 0.5, 0.5)
+        self._mass_kg = settings.mass_kg
         self._late_recorded: Late | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
@@ -205,31 +206,30 @@ class GradeEstimator(Processor):
         message.grade_std_rad = math.sqrt(estimate.variance + LEAST_STD_RAD * LEAST_STD_RAD)
         message.body_pitch_rad = estimate.nod_rad
         message.body_pitch_std_rad = math.sqrt(estimate.nod_variance)
-        message.speed_mps = estimate.speed_mps
+        speed = self.memory.filter.state.speed_mps
+        message.speed_mps = speed
         place = self.memory.place
         old_s = (stamp_ns - place.stamp_ns) / S
         if place.run >= 0 and old_s < MATCHED_S:
             message.edge, message.run = place.edge, place.run
-            message.chainage_m = place.chainage_m + abs(estimate.speed_mps) * old_s
+            message.chainage_m = place.chainage_m + abs(speed) * old_s
             message.probability = place.probability
         else:
             message.run = -1
         message.inputs.extend(self._in_use.names(stamp_ns))
         if self.memory.forced:
-            scale = self.settings.mass_kg
-            mass, std = self._filter.value(Ix.MASS)
-            message.mass_kg, message.mass_std_kg = mass * scale, std * scale
-            message.rolling_resistance, message.rolling_resistance_std = self._filter.value(
-                Ix.ROLLING
-            )
+            scale = self._mass_kg
+            message.mass_kg, message.mass_std_kg = estimate.mass * scale, estimate.mass_std * scale
+            message.rolling_resistance = estimate.rolling
+            message.rolling_resistance_std = estimate.rolling_std
 
     # Distances to stop ---------------------------------------------------------------------------
     def _stopping(self, estimate: Estimate) -> GradeStopping:
         """Distances to stop from now on."""
-        forwards = -1.0 if estimate.speed_mps < 0.0 else 1.0
-        speed = abs(estimate.speed_mps)
+        now = self.memory.filter.state
+        forwards, speed = -1.0 if now.speed_mps < 0.0 else 1.0, abs(now.speed_mps)
         ahead = self._ahead(estimate, forwards)
-        message = GradeStopping(speed_mps=estimate.speed_mps, mapped_m=ahead.mapped_m)
+        message = GradeStopping(speed_mps=now.speed_mps, mapped_m=ahead.mapped_m)
         longest_m = 0.0
         for deceleration in self.settings.decelerations_mps2:
             reaction_s = self.settings.reaction_s
@@ -240,7 +240,7 @@ class GradeEstimator(Processor):
                 longest_m = max(longest_m, distance)
                 told.distance_m = distance
                 std = ahead.std_at(distance)
-                told.distance_std_m = math.hypot(by_speed * estimate.speed_std_mps, by_slope * std)
+                told.distance_std_m = math.hypot(by_speed * now.speed_std_mps, by_slope * std)
             message.stops.append(told)
         message.grade_ahead_rad = ahead.mean_to(longest_m)
         return message
@@ -287,7 +287,7 @@ class GradeEstimator(Processor):
         if abs(spring - told) > limit and self._tell_once(SUSPENSION_CONTRADICTS.name):
             found.append(SUSPENSION_CONTRADICTS(pitch_deg=spring, told_deg=told, limit_deg=limit))
         offset, offset_std = value(Ix.OFFSET)
-        stated = math.sqrt(self.memory.filter.pitch_variance)
+        stated = math.sqrt(self.memory.filter.state.pitch_variance)
         limit = max(LEAST_OFF_RAD, STDS * math.hypot(offset_std, stated))
         if abs(offset) > limit and self._tell_once(PITCH_CONTRADICTS.name):
             degrees = {"offset_deg": math.degrees(offset), "limit_deg": math.degrees(limit)}
