@@ -11,8 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tramstream.analysis.studies import grade as study
-from tramstream.analysis.studies.grade import WORLDS, Case, Errors, Figures
+from tramstream.analysis.slopes import worlds as study
+from tramstream.analysis.slopes.worlds import WORLDS, Case, Errors, Figures
 from tramstream.analysis.studies.kaspar2023 import BUILT_IN, line_of
 from tramstream.cli.figures.options import Options
 from tramstream.cli.terminal import pool

@@ -16,6 +16,7 @@ INPUT_LOST = define(
 INPUT_BACK = define(
     "grade.input_back",
     "{input} tells of the slope again",
+    cause="It had been said to be silent.",
     severity=INFO,
     input=str,
 )
