@@ -40,11 +40,11 @@ CLIMB_STDS, LEAST_CLIMB_STD_MPS, UNSTATED_CLIMB_STD_MPS = 1.5, 0.1, 0.3
 """Likewise of the vertical speed, which is correlated between fixes."""
 FORCE_S = 0.1
 """Force and acceleration are means over so long,"""
-FORCE_STD_MPS2 = 0.05
+FORCE_STD_MPS2 = 0.12
 """and fit each other by so much, as acceleration."""
 LEAST_SPEED_MPS = 0.5
 """Slower, the parking brake may hold a part."""
-MASS_WALK = 0.02
+MASS_WALK = 0.01
 """Part by which the mass changes at a stop of `STOP_S`: passengers."""
 STOP_S = 20.0
 GATE = 5.0

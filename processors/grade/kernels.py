@@ -57,6 +57,11 @@ SHAKES_S = 0.3
 GRAVITY = 9.81
 MASS_KNOWN = 0.05
 """A mass that is known by this part of itself makes the force tell the slope."""
+PUSHED_MPS2 = 0.25
+"""Departure or braking: a force that holds the speed on a slope tells the mass no better than the
+slope is known."""
+ROLLING_WALK = 1e-4
+"""Within √s; it bears what the slope is wrong by for a minute."""
 LEAST_MASS = 0.05
 """Of that of the settings."""
 
@@ -83,6 +88,8 @@ def carry(
     _fade(x, P, bend, fade, BEND_STD_PER_M * BEND_STD_PER_M)
     _fade(x, P, Ix.FIX_ERROR, fix[1], fix[0])
     P[Ix.SPRING, Ix.SPRING] += SPRING_WALK_RAD * SPRING_WALK_RAD * dt_s
+    if way_m != 0.0:
+        P[Ix.ROLLING, Ix.ROLLING] += ROLLING_WALK * ROLLING_WALK * dt_s
     for i in range(n):  # the two halves differ by rounding
         for j in range(i):
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
@@ -244,19 +251,22 @@ def take_force(
     H[Ix.MASS], H[Ix.SLOPE], H[Ix.ROLLING] = lacking, u * GRAVITY, u * GRAVITY * way
     y = force_mps2 - u * lacking
     if led or P[Ix.MASS, Ix.MASS] > MASS_KNOWN * MASS_KNOWN * u * u:
-        return _consider(x, P, H, y, R)
+        return _consider(x, P, H, y, R, abs(acceleration) > PUSHED_MPS2)
     return update(x, P, H, y, R, gate)
 
 
 @compiled
-def _consider(x: Array, P: Array, H: Array, y: float, R: float) -> tuple[float, float, bool]:
-    """Take a scalar that changes mass and rolling resistance alone."""
+def _consider(
+    x: Array, P: Array, H: Array, y: float, R: float, pushed: bool
+) -> tuple[float, float, bool]:
+    """Take a scalar that changes rolling resistance and, where it is `pushed`, mass alone."""
     g = P @ H
     S = R + H @ g
     K = np.zeros(x.shape[0])
-    for k in (Ix.MASS, Ix.ROLLING):
-        K[k] = g[k] / S
-        x[k] += K[k] * y
+    K[Ix.ROLLING] = g[Ix.ROLLING] / S
+    if pushed:
+        K[Ix.MASS] = g[Ix.MASS] / S
+    x += K * y
     x[Ix.MASS] = max(x[Ix.MASS], LEAST_MASS)
     for i in range(x.shape[0]):
         for j in range(i + 1):

@@ -34,6 +34,7 @@ def test_prediction_is_that_of_dense_algebra(way_m: float) -> None:
     Q[Ix.BEND, Ix.BEND] = (1 - fade**2) * kernels.BEND_STD_PER_M**2
     Q[Ix.FIX_ERROR, Ix.FIX_ERROR] = (1 - FIX[1] ** 2) * FIX[0]
     Q[Ix.SPRING, Ix.SPRING] = kernels.SPRING_WALK_RAD**2 * dt_s
+    Q[Ix.ROLLING, Ix.ROLLING] = kernels.ROLLING_WALK**2 * dt_s * (way_m != 0.0)
     expected_x, expected_P = F @ x, F @ P @ F.T + Q
     kernels.carry(x, P, dt_s, way_m, shift_m, FIX)
     np.testing.assert_allclose(x, expected_x, rtol=1e-12)
@@ -103,6 +104,15 @@ def test_rows_of_h_are_the_derivatives_of_what_is_measured(kind: str) -> None:
     expected = x + P @ H / S * y
     assert TAKEN[kind](x, P)[:2] == pytest.approx((y, S), rel=1e-6)
     np.testing.assert_allclose(x, expected, rtol=1e-5, atol=1e-8)
+
+
+def test_force_that_holds_the_speed_is_not_taken_for_the_mass() -> None:
+    x, P = belief()
+    x[Ix.MASS], P = 1.0, 1e-4 * P
+    before = x.copy()
+    kernels.take_force(x, P, 1.0, 0.1, 1.0, 0.01, 1e9, True)
+    assert [k for k in Ix if x[k] != before[k]] == [Ix.ROLLING]
+    assert np.linalg.eigvalsh(P).min() > 0.0
 
 
 def test_force_that_is_led_by_a_localiser_changes_mass_and_rolling_alone() -> None:
