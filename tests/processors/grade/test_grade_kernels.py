@@ -134,7 +134,9 @@ def test_force_that_is_led_by_a_localiser_changes_mass_and_rolling_alone() -> No
 
 
 def followed(x: Any, P: Any, pitch: float, acceleration: float) -> Any:
-    return kernels.follow(x, P, np.zeros(1), 0.01, 0.0, 0.0, pitch, acceleration, 1e-6, 1.0, 20.0)
+    """A frame of a vehicle that stands: slope, its variance, nod, its variance."""
+    found = kernels.follow(x, P, np.zeros(1), 0.01, 0.0, 0.0, pitch, acceleration, 1e-6, 1.0, 20.0)
+    return found[:4]
 
 
 def fresh() -> tuple[Any, Any]:
@@ -149,7 +151,8 @@ def test_vehicle_that_stands_keeps_its_slope_and_learns_it() -> None:
     for _ in range(500):
         slope, variance, _, _ = followed(x, P, pitch=-0.02, acceleration=0.0)
     assert slope == pytest.approx(0.02, abs=1e-4)
-    assert math.sqrt(variance) == pytest.approx(1e-3, rel=0.1), "the pitch's error stays"
+    stays = math.sqrt(kernels.PITCH_VARIANCES * 1e-6 + kernels.LEAST_OFFSET_STD_RAD**2)
+    assert 0.6 * stays < math.sqrt(variance) < 1.05 * stays, "the pitch's error stays"
 
 
 def test_pitch_that_changes_while_nothing_moves_is_the_springs_or_an_error_and_no_slope() -> None:
