@@ -25,8 +25,8 @@ def reproduce(
         int | None,
         typer.Option(
             help="Rides of each kind (kaspar2023, default 5), line (matching, default 10), world "
-            "(worlds, grade, default 1) or profile's average (chladek2023, default 300 and 60); records "
-            "(allan, default 20).",
+            "(worlds, grade, default 1) or profile's average (chladek2023, default 300 and 60); "
+            "records (allan, default 20).",
             min=1,
         ),
     ] = None,

@@ -68,8 +68,10 @@ MATCHED_S = 0.5
 """A match that is older says nothing of now."""
 KNOWN_PART = 0.02
 """A mass that is known by that is told."""
-STDS = 4.0
+STDS = 3.0
 """What is off by more of its own and the setting's deviations contradicts."""
+HOLDS_S = 30
+"""A localiser that finds its mounting in the first departure moves its pitch by as much."""
 LEAST_OFF_RAD = math.radians(0.5)
 """A pitch that is less off is not worth saying."""
 
@@ -89,7 +91,9 @@ class GradeMemory:
     stopped_ns: int = 0
     """Of the last distances to stop."""
     told: list[str] = field(default_factory=list)
-    """Kinds of what has been said and holds on."""
+    """Kinds of what has been said."""
+    held: dict[str, int] = field(default_factory=dict)
+    """For how many seconds what contradicts has done so."""
 
 
 class GradeEstimator(Processor):
@@ -284,23 +288,27 @@ class GradeEstimator(Processor):
         spring, spring_std = (math.degrees(each) for each in value(Ix.SPRING))
         told = settings.pitch_deg_per_mps2
         limit = STDS * math.hypot(spring_std, settings.pitch_std_deg_per_mps2)
-        if abs(spring - told) > limit and self._tell_once(SUSPENSION_CONTRADICTS.name):
+        if self._holds(SUSPENSION_CONTRADICTS.name, abs(spring - told) > limit):
             found.append(SUSPENSION_CONTRADICTS(pitch_deg=spring, told_deg=told, limit_deg=limit))
         offset, offset_std = value(Ix.OFFSET)
         stated = math.sqrt(self.memory.filter.state.pitch_variance)
         limit = max(LEAST_OFF_RAD, STDS * math.hypot(offset_std, stated))
-        if abs(offset) > limit and self._tell_once(PITCH_CONTRADICTS.name):
+        if self._holds(PITCH_CONTRADICTS.name, abs(offset) > limit):
             degrees = {"offset_deg": math.degrees(offset), "limit_deg": math.degrees(limit)}
             found.append(PITCH_CONTRADICTS(**degrees))
         mass, mass_std = (each * settings.mass_kg for each in value(Ix.MASS))
-        if self.memory.forced and mass_std < KNOWN_PART * mass and self._tell_once(MASS_KNOWN.name):
+        known = self.memory.forced and mass_std < KNOWN_PART * mass
+        if self._holds(MASS_KNOWN.name, known):
             found.append(MASS_KNOWN(mass_kg=mass, mass_std_kg=mass_std))
         return found
 
-    def _tell_once(self, kind: str) -> bool:
-        if kind in self.memory.told:
+    def _holds(self, kind: str, holds: bool) -> bool:
+        """Whether something has held for long enough to be told, and has not been told."""
+        memory = self.memory
+        memory.held[kind] = memory.held.get(kind, 0) + 1 if holds else 0
+        if memory.held[kind] < HOLDS_S or kind in memory.told:
             return False
-        self.memory.told.append(kind)
+        memory.told.append(kind)
         return True
 
     # Hosts ---------------------------------------------------------------------------------------
