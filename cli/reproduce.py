@@ -12,7 +12,7 @@ from tramstream.cli.figures.options import Options
 
 WORKS = (
     *("konecny2004", "kaspar2023", "chladek2023"),
-    *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance"),
+    *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance", "grade"),
 )
 
 
@@ -25,8 +25,8 @@ def reproduce(
         int | None,
         typer.Option(
             help="Rides of each kind (kaspar2023, default 5), line (matching, default 10), world "
-            "(worlds, default 1) or profile's average (chladek2023, default 300 and 60); records "
-            "(allan, default 20).",
+            "(worlds, grade, default 1) or profile's average (chladek2023, default 300 and 60); "
+            "records (allan, default 20).",
             min=1,
         ),
     ] = None,
@@ -37,7 +37,8 @@ def reproduce(
             "default). chladek2023: FILE.geojson with lines 7 and 20; default "
             "../shared/data/maps/prague/lines_7_20.geojson. matching: LINE/DIRECTION or LINE; "
             "default all of the network. worlds: as matching with --net (default 7/0), else as "
-            "kaspar2023. day: default 7/0 and 7/1. May be given several times.",
+            "kaspar2023. day: default 7/0 and 7/1. grade: as kaspar2023. May be given "
+            "several times.",
             metavar="LINE",
         ),
     ] = None,
@@ -53,7 +54,7 @@ def reproduce(
         float,
         typer.Option(
             "--duration-s",
-            help="kaspar2023, matching: end rides early; 0 is never. worlds: default 300.",
+            help="kaspar2023, matching, grade: end rides early; 0 is never. worlds: default 300.",
             min=0,
         ),
     ] = 0.0,
@@ -77,7 +78,7 @@ def reproduce(
     ] = None,
     world: Annotated[
         list[str] | None,
-        typer.Option(help="worlds: which; default all. May be given several times."),
+        typer.Option(help="worlds, grade: which; default all. May be given several times."),
     ] = None,
     hours: Annotated[
         float | None,
@@ -105,8 +106,8 @@ def reproduce(
 ) -> None:
     """Reproduce the figures of a published work, ours on the real drives, of the map
     matcher, of captured receivers, of the localisation in many worlds or on a day of eight
-    hours, of noise estimated from simulated standstill, or whether a running vehicle grows or
-    loses anything in a day."""
+    hours, of noise estimated from simulated standstill, of the slope, or whether a running
+    vehicle grows or loses anything in a day."""
     from importlib import import_module
 
     from tramstream.errors import ConfigError

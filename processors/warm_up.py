@@ -27,6 +27,7 @@ from tramstream.graph import Graph
 from tramstream.lines.line import Line, built_in_line
 from tramstream.machine import kernels, machine_code
 from tramstream.processors.distance.processor import DistanceFilter
+from tramstream.processors.grade.processor import GradeEstimator
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
 from tramstream.processors.matching.processor import MapMatcher
@@ -41,7 +42,7 @@ from tramstream.simulation.simulation import Simulation
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import FORWARDS, Network
 
-PROCESSORS = (Resampler, DistanceFilter, LocalisationFilter, MapMatcher)
+PROCESSORS = (Resampler, DistanceFilter, LocalisationFilter, MapMatcher, GradeEstimator)
 RIDE_S = 50.0
 """Standing, departure, alignment, a curve."""
 MAPPED_M = 600.0

@@ -217,7 +217,7 @@ EST_GRADE = define(
     "Slope of the track, apart from the body",
 )
 EST_STOPPING = define(
-    "est/grade/stopping", estimate_pb2.GradeStopping, 5, "horizon", "Distances to stop, slope ahead"
+    "est/grade/stopping", estimate_pb2.GradeStopping, 2, "horizon", "Distances to stop, slope ahead"
 )
 EST_GRADE_PARAMETERS = define(
     "est/grade/parameters", estimate_pb2.FilterParameters, 1, "horizon", "Suspension, offset, mass"

@@ -19,6 +19,7 @@ from tramstream.events.sentences import unit_of
 from tramstream.live import events as live
 from tramstream.processors.consistency import events as configuration
 from tramstream.processors.distance import events as distance
+from tramstream.processors.grade import events as grade
 from tramstream.processors.kaspar2023 import events as kaspar2023
 from tramstream.processors.localisation import events as ekf
 from tramstream.processors.matching import events as matching
@@ -37,6 +38,7 @@ TABLES: dict[ModuleType, str] = {
     kaspar2023: "The filter `kaspar2023`",
     matching: "Map matcher",
     distance: "Distance and speed",
+    grade: "Slope of the track",
     configuration: "Configuration against the data",
     supervision: "Processes",
     recorder: "Recorder",

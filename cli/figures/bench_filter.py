@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from tramstream import keys
 from tramstream.analysis.studies.frames import frames
 from tramstream.cli.figures.bench_stages import Figure
 from tramstream.estimation.localiser import TRACKING
@@ -13,13 +14,16 @@ from tramstream.lines.line import built_in_line
 from tramstream.memory.stage import from_plain
 from tramstream.processor import Sample
 from tramstream.processors.consistency.processor import ConfigurationCheck
+from tramstream.processors.grade.processor import GradeEstimator
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram.navigation_memory import NavigationMemory
+from tramstream.proto.estimate_pb2 import MapMatch
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 
 RIDE_S = 150.0
+GRADE_RIDE_S = 60.0
 CHUNK = 250
 """Steps that are timed at a time; the median of the chunks counts."""
 
@@ -77,4 +81,39 @@ def median_us(step: Callable[[Any], object], frames: Sequence[Any]) -> float:
     return found[len(found) // 2]
 
 
-STAGES: dict[str, Callable[[], list[Figure]]] = {"ekf": ekf}
+def grade() -> list[Figure]:
+    """Measure the slope's processor: a frame with the state and the match that belong to it.
+
+    Frames are those of `city`, with fixes at 5 Hz, wheels and motor force at 50 Hz; the states are
+    the localisation filter's, the matches made by hand. All that is published is included.
+    """
+    simulation = Simulation(built_in_line(), scenario.load("city"), 1, GRADE_RIDE_S)
+    vehicle = simulation.vehicle
+    localisation = LocalisationFilter(vehicle)
+    groups: list[tuple[Sample, ...]] = []
+    for frame in frames(simulation, []):
+        states = [each for each in localisation.step(frame) if each.key is keys.EST_STATE]
+        groups.append((frame, *states, *(_match(each) for each in states)))
+    estimator = GradeEstimator(vehicle)
+
+    def step(group: tuple[Sample, ...]) -> None:
+        for sample in group:
+            estimator.step(sample)
+
+    return [Figure("grade_step_us", median_us(step, groups), 8.0, False)]
+
+
+def _match(state: Sample) -> Sample:
+    """A match of a state's instant, like the map matcher's."""
+    message = MapMatch(
+        stamp_ns=state.stamp_ns,
+        sequence=state.sequence,
+        state=MapMatch.ON_TRACK,
+        edge="1234567890-2345678901",
+        chainage_m=100.0,
+        probability=0.99,
+    )
+    return Sample(keys.MAP_MATCH, message, state.stamp_ns, state.sequence)
+
+
+STAGES: dict[str, Callable[[], list[Figure]]] = {"ekf": ekf, "grade": grade}

@@ -190,6 +190,29 @@ def _distance(message: Any) -> str:
     )
 
 
+def _percent(slope_rad: float) -> float:
+    """Slopes are told in percent."""
+    return 100.0 * math.tan(slope_rad)
+
+
+def _grade(message: Any) -> str:
+    parts = [f"slope {_percent(message.grade_rad):+.2f} ±{_percent(message.grade_std_rad):.2f} %"]
+    parts.append(f"nod {math.degrees(message.body_pitch_rad):+.2f}°")
+    if message.HasField("mass_kg"):
+        parts.append(f"{message.mass_kg / 1e3:.1f} ±{message.mass_std_kg / 1e3:.1f} t")
+    return "  ".join([*parts, " ".join(message.inputs)]).rstrip()
+
+
+def _stopping(message: Any) -> str:
+    parts = []
+    for stop in message.stops:
+        with_ = f" with {stop.deceleration_mps2:.3g} m/s²"
+        known = stop.HasField("distance_m")
+        way = f"{stop.distance_m:.0f} ±{stop.distance_std_m:.0f} m" if known else "no stop"
+        parts.append(way + with_)
+    return "  ".join([*parts, f"{message.speed_mps:.1f} m/s"])
+
+
 def _node(message: Any) -> str:
     state = name_of(type(message).State, message.state)
     return f"{state}  {message.text}" if message.text else state
@@ -261,6 +284,8 @@ _DIGESTS: dict[str, Callable[[Any], str]] = {
     ),
     "GnssSatellites": _satellites,
     "GnssTime": _gnss_time,
+    "GradeState": _grade,
+    "GradeStopping": _stopping,
     "ImuBatch": _imu_batch,
     "ImuMean": _imu_mean,
     "LateSample": _late,

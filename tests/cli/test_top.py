@@ -19,6 +19,7 @@ from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
 from tramstream.events import define
 from tramstream.events.messages import message_of
+from tramstream.proto.estimate_pb2 import GradeState, GradeStopping, StoppingDistance
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
@@ -209,6 +210,12 @@ def test_digests_hold_what_matters():
         accel_z=[10, 30], gyro_scale_radps=1e-3, accel_scale_mps2=0.5,
     )  # fmt: skip
     assert digest(batch).startswith("a +0.00 +0.00 +10.00 m/s²  ω +2.0 +0.0 +0.0 mrad/s  2 ×")
+    slope = GradeState(grade_rad=-0.03, grade_std_rad=0.001, body_pitch_rad=0.005, mass_kg=4.0e4)
+    assert digest(slope) == "slope -3.00 ±0.10 %  nod +0.29°  40.0 ±0.0 t"
+    stops = [StoppingDistance(deceleration_mps2=1.0, distance_m=112.5, distance_std_m=8.0)]
+    stops.append(StoppingDistance(deceleration_mps2=0.2))
+    told = GradeStopping(speed_mps=15.0, stops=stops)
+    assert digest(told) == "112 ±8 m with 1 m/s²  no stop with 0.2 m/s²  15.0 m/s"
     assert digest(None) == "cannot be decoded"
 
 

@@ -18,6 +18,7 @@ from tramstream.lines.line import built_in_line
 from tramstream.processor import Processor, Sample
 from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.distance.processor import DistanceFilter
+from tramstream.processors.grade.processor import GradeEstimator
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
@@ -96,6 +97,33 @@ class TestMapMatcher(Contract):
         ]
         assert len(taken) > 10
         assert all(each.accepted for each in taken)
+
+
+class TestGradeEstimator(Contract):
+    """Behind the filter and the matcher that feed each other; it feeds back into nothing."""
+
+    @pytest.fixture(autouse=True)
+    def _mapped(self, tmp_path: Path) -> None:
+        network = tmp_path / "line.tracks"
+        one_track(ride().line).save(network)
+        self.vehicle = replace(ride().vehicle, map=Map(network=str(network), std_m=0.1))
+
+    def make(self) -> list[Processor]:
+        made = (Resampler, LocalisationFilter, MapMatcher, GradeEstimator)
+        return [each(self.vehicle) for each in made]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(self.vehicle)]
+
+    def test_nothing_is_late_among_processors_of_one_process(self) -> None:
+        graph = Graph(self.make())
+        said = [each for sample in sent() for each in graph.step(sample)]
+        assert not [each for each in said if each.key is keys.EST_GRADE_LATE]
+        slopes = [each.message for each in said if each.key is keys.EST_GRADE]
+        assert slopes[-1].run == 0
+        assert slopes[-1].edge
+        last = slopes[-1].inputs
+        assert {"accelerometer", "odometry", "gnss_height", "motor_force"} <= set(last)
 
 
 class TestConfigurationCheck(Contract):

@@ -29,6 +29,7 @@ UNITS = {
     "sigma": "σ",
     "percent": "%",
     "ppm": "ppm",
+    "kg": "kg",
     "bytes": "B",
 }
 """By the last word of a name, as everywhere in this house."""

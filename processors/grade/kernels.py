@@ -1,0 +1,274 @@
+"""The filter of the slope, compiled: eight states that move with the way, scalar measurements.
+
+States x (`Ix`): slope α of the track at the point midway between the bogies, its bend α' a metre,
+the springs' coefficient κ, the error e of the localiser's pitch, height h, error ε of the fixes'
+height, mass by that of the settings, rolling resistance.
+
+The slope changes with the way and with nothing else, so a vehicle that stands, or runs backwards,
+is no special case. Errors are additive. Equations: docs/theory.md, section 18.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from tramstream.estimation.kalman import Array, compiled
+
+
+class Ix(IntEnum):
+    """Where each state stands."""
+
+    SLOPE = 0
+    BEND = 1
+    SPRING = 2
+    OFFSET = 3
+    HEIGHT = 4
+    FIX_ERROR = 5
+    MASS = 6
+    ROLLING = 7
+
+
+STATES = len(Ix)
+BEND_STD_PER_M = 3e-4
+"""How tracks bend up and down: Prague's lines 7 and 20 have 2.0e-4 and 2.3e-4 (SRTM heights), and
+rails more than a terrain model shows."""
+BEND_LENGTH_M = 60.0
+"""Over which a bend is forgotten; on these lines it is half after 55 m."""
+OFFSET_TAU_S = 100.0
+"""Over which the error of the localiser's pitch is forgotten: its accelerometer's bias walks."""
+PITCH_VARIANCES = 2.0
+"""The localiser's pitch is trusted by half of what it says."""
+LEAST_OFFSET_STD_RAD = 3e-4
+"""A localiser that is surer of its pitch knows no cross-axis and no scale of its accelerometer."""
+NOD_MPS2 = 0.25
+"""A localiser that takes the body's nod for slope errs by what springs do under so much: a quarter
+of what they do in braking (`reproduce grade`, world body)."""
+SPRING_WALK_RAD = 2e-5
+"""What κ changes by within √s, per m/s²: temperature, load."""
+LEAST_PITCH_STD_RAD = 2e-4
+"""White noise of the pitch in a step of a hundredth of a second, where nothing shakes the body."""
+SCATTER_S = 20.0
+"""Over which it is learned how much the body shakes."""
+SHAKES_S = 0.3
+"""A body shakes with 1 to 2 Hz: so long apart two of its pitches tell anything new."""
+GRAVITY = 9.81
+MASS_KNOWN = 0.05
+"""A mass that is known by this part of itself makes the force tell the slope."""
+PUSHED_MPS2 = 0.25
+"""Departure or braking: a force that holds the speed on a slope tells the mass no better than the
+slope is known."""
+ROLLING_WALK = 1e-4
+"""Within √s; it bears what the slope is wrong by for a minute."""
+LEAST_MASS = 0.05
+"""Of that of the settings."""
+
+
+@compiled
+def carry(
+    x: Array, P: Array, dt_s: float, way_m: float, shift_m: float, fix: tuple[float, float]
+) -> None:
+    """Predict over a step of time and way; `fix` is variance and fading of the fixes' error."""
+    slope, bend, height = Ix.SLOPE, Ix.BEND, Ix.HEIGHT
+    n = x.shape[0]
+    x[height] += way_m * (x[slope] + shift_m * x[bend])
+    x[slope] += way_m * x[bend]
+    for j in range(n):
+        P[height, j] += way_m * (P[slope, j] + shift_m * P[bend, j])
+    for j in range(n):
+        P[slope, j] += way_m * P[bend, j]
+    for i in range(n):
+        P[i, height] += way_m * (P[i, slope] + shift_m * P[i, bend])
+    for i in range(n):
+        P[i, slope] += way_m * P[i, bend]
+    far = abs(way_m)
+    fade = math.exp(-far / BEND_LENGTH_M)
+    _fade(x, P, bend, fade, BEND_STD_PER_M * BEND_STD_PER_M)
+    _fade(x, P, Ix.FIX_ERROR, fix[1], fix[0])
+    P[Ix.SPRING, Ix.SPRING] += SPRING_WALK_RAD * SPRING_WALK_RAD * dt_s
+    if way_m != 0.0:
+        P[Ix.ROLLING, Ix.ROLLING] += ROLLING_WALK * ROLLING_WALK * dt_s
+    for i in range(n):  # the two halves differ by rounding
+        for j in range(i):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
+
+
+@compiled
+def _fade(x: Array, P: Array, k: int, fade: float, variance: float) -> None:
+    """Let a state forget itself towards its stationary variance (first-order Gauss-Markov)."""
+    x[k] *= fade
+    for j in range(x.shape[0]):
+        P[k, j] *= fade
+    for i in range(x.shape[0]):
+        P[i, k] *= fade
+    P[k, k] += (1.0 - fade * fade) * variance
+
+
+@compiled
+def update(
+    x: Array, P: Array, H: Array, y: float, R: float, gate: float
+) -> tuple[float, float, bool]:
+    """Take a scalar with innovation `y`; gives innovation, its variance, and whether it fits."""
+    n = x.shape[0]
+    g = np.zeros(n)
+    S = R
+    for i in range(n):
+        for j in range(n):
+            g[i] += P[i, j] * H[j]
+        S += H[i] * g[i]
+    if not y * y <= gate * gate * S:  # refuses what is not a number, too
+        return y, S, False
+    for i in range(n):
+        x[i] += g[i] * y / S
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = P[i, j] - g[i] * g[j] / S
+    return y, S, True
+
+
+@compiled
+def follow(
+    x: Array,
+    P: Array,
+    scatter: Array,
+    dt_s: float,
+    way_m: float,
+    shift_m: float,
+    pitch_rad: float,
+    acceleration_mps2: float,
+    pitch_variance: float,
+    fix_variance: float,
+    fix_tau_s: float,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Go on by a frame and take the localiser's pitch: −θ = α + κ f + e.
+
+    Parameters
+    ----------
+    scatter : ndarray, shape (1,)
+        Mean square of what the pitch shows beside the prediction; changed in place.
+    pitch_rad : float
+        θ of the body, nose down positive; NaN where there is none.
+    acceleration_mps2 : float
+        v̇; the springs feel the specific force f = v̇ + g α along the track.
+    pitch_variance : float
+        Of the pitch as the localiser states it, rad².
+
+    Returns
+    -------
+    slope, variance, nod, nod_variance, bend, mass, mass_std, rolling, rolling_std : float
+        At the vehicle's origin, `shift_m` ahead of the point that α is of; of the body against the
+        track, nose down positive; a metre; by that of the settings; by the weight.
+    """
+    slope, bend, spring, offset = Ix.SLOPE, Ix.BEND, Ix.SPRING, Ix.OFFSET
+    carry(x, P, dt_s, way_m, shift_m, (fix_variance, math.exp(-dt_s / fix_tau_s)))
+    if not math.isnan(pitch_rad):
+        # An error that is seen to be larger than stated is no smaller than it is seen to be.
+        taken = NOD_MPS2 * x[spring]
+        variance = PITCH_VARIANCES * pitch_variance + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
+        variance += taken * taken
+        variance = max(variance, x[offset] * x[offset] - P[offset, offset])
+        _fade(x, P, offset, math.exp(-dt_s / OFFSET_TAU_S), variance)
+        H = np.zeros(x.shape[0])
+        if P[offset, offset] > 1.01 * variance:  # the localiser has learned
+            H[offset] = 1.0
+            R = 1.0 / (1.0 / variance - 1.0 / P[offset, offset])
+            update(x, P, H, -x[offset], R, math.inf)
+        force = acceleration_mps2 + GRAVITY * x[slope]
+        H[slope], H[spring], H[offset] = 1.0 + GRAVITY * x[spring], force, 1.0
+        y = -pitch_rad - (x[slope] + force * x[spring] + x[offset])
+        R = LEAST_PITCH_STD_RAD * LEAST_PITCH_STD_RAD + scatter[0] * SHAKES_S / max(dt_s, 1e-3)
+        y, S, _ = update(x, P, H, y, R, math.inf)
+        if way_m != 0.0:
+            known = max(S - R, 0.0)
+            share = min(dt_s / SCATTER_S, 1.0)
+            scatter[0] += share * (max(y * y - known, 0.0) - scatter[0])
+    ahead = P[slope, slope] + 2.0 * shift_m * P[slope, bend] + shift_m * shift_m * P[bend, bend]
+    force = acceleration_mps2 + GRAVITY * x[slope]
+    nod = -x[spring] * force
+    return (
+        x[slope] + shift_m * x[bend],
+        ahead,
+        nod,
+        force * force * P[spring, spring],
+        x[bend],
+        x[Ix.MASS],
+        math.sqrt(P[Ix.MASS, Ix.MASS]),
+        x[Ix.ROLLING],
+        math.sqrt(P[Ix.ROLLING, Ix.ROLLING]),
+    )
+
+
+@compiled
+def take_height(
+    x: Array, P: Array, height_m: float, lever_m: float, R: float, gate: float
+) -> tuple[float, float, bool]:
+    """Take a fix's height: z = h + l α + ε, with the antenna l ahead of the origin."""
+    H = np.zeros(x.shape[0])
+    H[Ix.SLOPE], H[Ix.HEIGHT], H[Ix.FIX_ERROR] = lever_m, 1.0, 1.0
+    y = height_m - (x[Ix.HEIGHT] + lever_m * x[Ix.SLOPE] + x[Ix.FIX_ERROR])
+    return update(x, P, H, y, R, gate)
+
+
+@compiled
+def take_climb(
+    x: Array, P: Array, climb_mps: float, speed_mps: float, ahead_m: float, R: float, gate: float
+) -> tuple[float, float, bool]:
+    """Take a vertical speed: z = v (α + l α'), with the antenna l ahead of the point of α."""
+    H = np.zeros(x.shape[0])
+    H[Ix.SLOPE], H[Ix.BEND] = speed_mps, speed_mps * ahead_m
+    y = climb_mps - speed_mps * (x[Ix.SLOPE] + ahead_m * x[Ix.BEND])
+    return update(x, P, H, y, R, gate)
+
+
+@compiled
+def take_force(
+    x: Array,
+    P: Array,
+    force_mps2: float,
+    acceleration: float,
+    way: float,
+    R: float,
+    gate: float,
+    led: bool,
+) -> tuple[float, float, bool]:
+    """Take the motor force, less drag, over the settings' mass: z = u (v̇ + g α + g c sign v).
+
+    A mass that is not known makes a force no slope. Then, and where a localiser tells the slope
+    better than the rolling resistance is known (`led`), slope and all else are considered with what
+    is not known of them, and not changed (Schmidt-Kalman filter).
+
+    Parameters
+    ----------
+    force_mps2 : float
+        z.
+    way : float
+        Sign of v.
+    """
+    H = np.zeros(x.shape[0])
+    u = x[Ix.MASS]
+    lacking = acceleration + GRAVITY * (x[Ix.SLOPE] + way * x[Ix.ROLLING])
+    H[Ix.MASS], H[Ix.SLOPE], H[Ix.ROLLING] = lacking, u * GRAVITY, u * GRAVITY * way
+    y = force_mps2 - u * lacking
+    if led or P[Ix.MASS, Ix.MASS] > MASS_KNOWN * MASS_KNOWN * u * u:
+        return _consider(x, P, H, y, R, abs(acceleration) > PUSHED_MPS2)
+    return update(x, P, H, y, R, gate)
+
+
+@compiled
+def _consider(
+    x: Array, P: Array, H: Array, y: float, R: float, pushed: bool
+) -> tuple[float, float, bool]:
+    """Take a scalar that changes rolling resistance and, where it is `pushed`, mass alone."""
+    g = P @ H
+    S = R + H @ g
+    K = np.zeros(x.shape[0])
+    K[Ix.ROLLING] = g[Ix.ROLLING] / S
+    if pushed:
+        K[Ix.MASS] = g[Ix.MASS] / S
+    x += K * y
+    x[Ix.MASS] = max(x[Ix.MASS], LEAST_MASS)
+    for i in range(x.shape[0]):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = P[i, j] - K[i] * g[j] - g[i] * K[j] + K[i] * K[j] * S
+    return y, S, True
