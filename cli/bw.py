@@ -39,7 +39,7 @@ def bw(
     from tramstream.cli.monitor.stats import Figures, KeyStats
     from tramstream.cli.monitor.survey import Sheet, survey
     from tramstream.cli.terminal.session import stop_on_signals
-    from tramstream.wording import number, scaled
+    from tramstream.events.wording import number, scaled
 
     def cells(stats: KeyStats, of: Figures) -> list[str]:
         return [

@@ -68,7 +68,7 @@ def echo(
 def _as_json(source: Source, envelope: Envelope) -> str:
     from tramstream.cli.monitor.readable import stamp_ns
     from tramstream.cli.monitor.source import line
-    from tramstream.plain import to_dict
+    from tramstream.cli.terminal.plain import to_dict
 
     message = source.decode(envelope)
     figures = {

@@ -39,7 +39,7 @@ def hz(
     from tramstream.cli.monitor.stats import Figures, KeyStats
     from tramstream.cli.monitor.survey import Sheet, survey
     from tramstream.cli.terminal.session import stop_on_signals
-    from tramstream.wording import number
+    from tramstream.events.wording import number
 
     def cells(stats: KeyStats, of: Figures) -> list[str]:
         periods = (of.period_min_s, of.period_max_s, of.period_std_s)

@@ -45,7 +45,7 @@ def list_(
     from tramstream.cli.monitor.source import FileSource, LiveSource, line, look
     from tramstream.cli.terminal.columns import aligned
     from tramstream.cli.terminal.session import stop_on_signals
-    from tramstream.wording import number
+    from tramstream.events.wording import number
 
     stop = stop_on_signals()
     with look(key, file, vehicle) as source:

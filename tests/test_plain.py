@@ -7,7 +7,7 @@ import json
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
 from tramstream import keys
-from tramstream.plain import to_dict
+from tramstream.cli.terminal.plain import to_dict
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, RawBytes, WheelReading

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from tramstream import keys
 from tramstream.analysis.calibration.allan import Counts, Run
+from tramstream.analysis.calibration.inertial import Samples, inertial_samples, inertial_topic
 from tramstream.errors import RecordError
-from tramstream.recorder.inertial import Samples, inertial_samples, inertial_topic
 from tramstream.recorder.reader import Record
 
 Array = NDArray[np.float64]

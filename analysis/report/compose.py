@@ -25,7 +25,7 @@ from tramstream.analysis.report.sections import (
     timeline_of,
 )
 from tramstream.clock import S
-from tramstream.wording import lasting
+from tramstream.events.wording import lasting
 
 HELP = (
     "Drag over a figure, or over the strip on top, to choose a part of the ride in all figures at "

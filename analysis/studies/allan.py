@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from tramstream.analysis.calibration.allan import Run
 from tramstream.analysis.calibration.fit import value_of
+from tramstream.analysis.calibration.inertial import Samples
 from tramstream.analysis.calibration.noise import NAMES, Noise, whittle_bound
 from tramstream.analysis.calibration.samples import AXES, Spool
 from tramstream.analysis.calibration.standing_noise import AxisNoise, axis_noise
 from tramstream.clock import S
-from tramstream.recorder.inertial import Samples
 from tramstream.simulation import scenario
 from tramstream.simulation.imu import STANDARD_GRAVITY_MPS2, Imu
 from tramstream.simulation.scenario import Imu as ImuSection

@@ -13,8 +13,8 @@ from tramstream.analysis.evaluate.consistency import Nees
 from tramstream.analysis.evaluate.evaluation import Evaluation
 from tramstream.analysis.evaluate.judgement import Judgement, Summary, Terms, group_name
 from tramstream.analysis.evaluate.outages import distance_m
+from tramstream.events.wording import lasting
 from tramstream.shown import shown
-from tramstream.wording import lasting
 
 UNITS = {"m": "m", "mps": "m/s", "deg": "°", "pct": "%"}
 GRADE = "grade"

@@ -15,7 +15,7 @@ from tramstream import keys
 from tramstream.boundary import name_of
 from tramstream.clock import S
 from tramstream.events.messages import sentence_of
-from tramstream.wording import clipped, lasting, scaled
+from tramstream.events.wording import clipped, lasting, scaled
 
 FALLBACK_FIELDS = 4
 _FIX = {

@@ -16,7 +16,7 @@ from rich.style import Style
 
 from tramstream.cli.monitor.board import Board, DeviceRow, EventRow, KeyRow, Level, NodeRow
 from tramstream.clock import S
-from tramstream.wording import clipped, lasting, number, scaled
+from tramstream.events.wording import clipped, lasting, number, scaled
 
 PLAIN = Style()
 DIM = Style(dim=True)

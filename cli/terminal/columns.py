@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tramstream.events.wording import clipped
 from tramstream.shown import shown
-from tramstream.wording import clipped
 
 GAP = "  "
 

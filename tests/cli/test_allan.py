@@ -15,6 +15,7 @@ from standing import ACCEL_MPS2, GYRO_RADPS, START_NS, white, write_record
 from typer.testing import CliRunner, Result
 
 from tramstream import keys
+from tramstream.analysis.calibration.inertial import inertial_samples
 from tramstream.analysis.notebook.rides import simulate
 from tramstream.cli.main import make_app
 from tramstream.config_file import load
@@ -22,7 +23,6 @@ from tramstream.errors import CheckFailedError, ConfigError, DamagedRecordError,
 from tramstream.proto.gnss_pb2 import EsfMeasurements
 from tramstream.proto.raw_pb2 import ImuBatch
 from tramstream.recorder.file.writer import RecordFile
-from tramstream.recorder.inertial import inertial_samples
 from tramstream.recorder.message_columns import read_columns
 from tramstream.recorder.reader import open_record
 from tramstream.simulation import scenario

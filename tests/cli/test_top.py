@@ -19,12 +19,12 @@ from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
 from tramstream.events import define
 from tramstream.events.messages import message_of
+from tramstream.events.wording import clipped, lasting, scaled
 from tramstream.proto.estimate_pb2 import GradeState, GradeStopping, StoppingDistance
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry, WheelReading
 from tramstream.transport.bus import LocalBus
-from tramstream.wording import clipped, lasting, scaled
 
 NOW_NS = START_NS + 20 * S
 

@@ -15,10 +15,10 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from tramstream import private
-from tramstream.arrays import read_npy
 from tramstream.clock import S
 from tramstream.events.kinds import Event
 from tramstream.live.events import SNAPSHOT_UNREADABLE
+from tramstream.memory.arrays import read_npy
 from tramstream.processor import Processor
 from tramstream.proto.sync_pb2 import ProcessorState, Snapshot
 

@@ -33,9 +33,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tramstream.arrays import read_npy
 from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel
+from tramstream.memory.arrays import read_npy
 from tramstream.tracks import check
 
 Array = NDArray[np.float64]
