@@ -367,7 +367,7 @@ class GapBook(LossCounter):
         return losses
 
     def _loss(
-        self, topic: str, count: int, after_ns: int, before_ns: int, cause: Loss.Cause.ValueType
+        self, topic: str, count: int, after_ns: int, before_ns: int, cause: Loss.Cause
     ) -> Loss:
         return Loss(
             consumer=self.consumer,

@@ -82,13 +82,11 @@ class Imu(Struct, frozen=True, kw_only=True):
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
     """IMU case from the vehicle's origin, p_vb_v: forward, left, up."""
     mounting_deg: Vector = (0.0, 0.0, 0.0)
-    """How the case is turned, Ψ = roll, pitch, yaw: C_bv takes vehicle components into the
-    sensor's axes (docs/theory.md, section 1.2)."""
+    """How the case is turned, Ψ = roll, pitch, yaw, of C_bv (docs/theory.md, section 1.2)."""
     mounting_q_bv: Quaternion = ()
     """Instead of `mounting_deg`, the same turn as a quaternion, w x y z: C_bv without loss."""
     mounting_std_deg: NotNegative | Three = 1.0
-    """How well the mounting is known: about each axis of the vehicle, x y z, or one number for all;
-    the filter estimates the rest."""
+    """How well that is known about the vehicle's x, y, z, or one number; the filter finds the rest."""
     delay_std_s: NotNegative = 0.002
     """How well the stamps are known; a delay found between fixes and IMU is shared out by this and
     `gnss.delay_std_s`."""
@@ -188,8 +186,7 @@ class Wheels(Struct, frozen=True, kw_only=True):
     """Which bogie they are on, where `ekf.bogie_distance_m` is given: it turns into a curve before
     the body does, or after. Empty: they stand for both."""
     scale_std: Positive = 0.03
-    """How well `m_per_pulse`, or a wheel's speed, is known, as a part of it: a worn tyre is 4 to
-    5 % smaller than a new one (docs/theory.md, section 3.5). The filter learns it."""
+    """How well the above, or a wheel's speed, is known, as a part of it (a worn tyre: 0.05)."""
     each: dict[str, WheelConstant] = {}
     """Constants of single wheels, by their names: what is stated here goes before the two above."""
     delay_s: Number = 0.0
@@ -331,8 +328,7 @@ class Simulator(Struct, frozen=True, kw_only=True):
     lasts_s: NotNegative = 0.0
     """After so long all simulated devices are pulled out; 0: when what they play has ended."""
     patience_s: NotNegative = 0.0
-    """Until its devices have been opened, but for no longer than this, all simulators are silent:
-    what a device says before is thrown away when it is opened."""
+    """For so long at most all simulators are silent, until somebody has opened their devices."""
 
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
