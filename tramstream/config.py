@@ -24,9 +24,7 @@ NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[Number, Number, Number]
-Quaternion = Annotated[tuple[Number, ...], Meta(max_length=4)]
 Three = Annotated[tuple[NotNegative, ...], Meta(min_length=3, max_length=3)]
-"""As `Vector`, where it stands beside a number: msgspec 0.22 reads no fixed tuple there."""
 
 
 class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -82,11 +80,12 @@ class Imu(Struct, frozen=True, kw_only=True):
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
     """IMU case from the vehicle's origin, p_vb_v: forward, left, up."""
     mounting_deg: Vector = (0.0, 0.0, 0.0)
-    """How the case is turned, Ψ = roll, pitch, yaw, of C_bv (docs/theory.md, section 1.2)."""
-    mounting_q_bv: Quaternion = ()
+    """How the case is turned, Ψ = roll, pitch, yaw: C_bv takes vehicle components into the
+    sensor's axes (docs/theory.md, section 1.2)."""
+    mounting_q_bv: Annotated[tuple[Number, ...], Meta(max_length=4)] = ()
     """Instead of `mounting_deg`, the same turn as a quaternion, w x y z: C_bv without loss."""
     mounting_std_deg: NotNegative | Three = 1.0
-    """How well that is known about the vehicle's x, y, z, or one number; the filter finds the rest."""
+    """How well that is known, about x y z of the vehicle or one for all; the filter learns it."""
     delay_std_s: NotNegative = 0.002
     """How well the stamps are known; a delay found between fixes and IMU is shared out by this and
     `gnss.delay_std_s`."""
@@ -169,7 +168,7 @@ class WheelConstant(Struct, frozen=True, kw_only=True):
     """What one wheel's readings mean, where it is known better than for all."""
 
     m_per_pulse: Positive = 0.00092038845
-    """As `wheels.m_per_pulse`, of this wheel."""
+    """As `wheels.m_per_pulse`."""
     scale_std: Positive = 0.03
     """As `wheels.scale_std`."""
 
@@ -361,8 +360,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """Settings of processors and bridges of other packages, by name. In the file each is a section
     of that name; the loader checks it against the `Settings` of its class."""
     calibration: str = ""
-    """File with fields of [imu], [wheels] and [gnss] that `tramstream allan` and its like found;
-    each is stated there or here. `tramstream config` shows where a value comes from."""
+    """File with fields of [imu], [wheels] and [gnss] that `tramstream allan` and its like found."""
     calibrated: Calibrated | None = None
     """Which settings come from a calibration; the loader writes it."""
 
