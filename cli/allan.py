@@ -65,8 +65,8 @@ def allan(
             for path, each in zip(records, opened, strict=True)
         )
     finally:
-        for each in opened:
-            each.close()
+        for record in opened:
+            record.close()
     settings = settings_of(found)
     if page is not None:
         from tramstream.analysis.report.allan_page import compose

@@ -58,7 +58,7 @@ def second_differences(counts: Counts, start: int, end: int, m: int) -> tuple[fl
     first = np.empty(4, np.int64)
     for lane in range(4):
         begin = start + lane * part
-        difference = 0
+        difference = np.int64(0)
         for i in range(begin, begin + m):
             difference += np.int64(counts[i + m]) - np.int64(counts[i])
         first[lane] = difference

@@ -234,7 +234,7 @@ class _Search:
         """Relative deviations from the curvature; that of N with what the others cost it."""
         count, step = len(best), 0.05
         deviance = self._deviance(names)
-        size = 1 / (2 * max(found.count, 1))
+        size = 1 / (2 * max(found.numbers, 1))
         if not count:
             return {"N": math.sqrt(size)}
         shifts = step * np.eye(count)

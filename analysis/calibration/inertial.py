@@ -60,7 +60,7 @@ def _varint(data: NDArray[np.uint8], at: int, end: int) -> tuple[int, int]:
         at += 1
         value |= np.uint64(byte & 0x7F) << np.uint64(7 * place)
         if byte < 0x80:
-            return np.int64(value), at
+            return int(np.int64(value)), at
     return 0, -1
 
 
@@ -72,7 +72,7 @@ def _packed(data: NDArray[np.uint8], at: int, end: int, row: NDArray[np.int32]) 
         byte = data[at]
         if byte < 0x80:
             at += 1
-            value = np.int64(byte)
+            value = int(byte)
         else:
             value, at = _varint(data, at, end)
             if at < 0 or value < 0 or value > 0xFFFFFFFF:
@@ -134,7 +134,7 @@ def _message(
     for axis in range(1, 6):
         if sizes[axis] != sizes[0]:
             return -1
-    return sizes[0]
+    return int(sizes[0])
 
 
 @compiled

@@ -80,7 +80,7 @@ class Sums(NamedTuple):
     temperature: float
     """and of the temperature's."""
     log_variance: float
-    count: int
+    numbers: int
 
 
 @compiled
@@ -138,7 +138,7 @@ class Found(NamedTuple):
     per_degc: float
     """What the bias gains with a degree, counts; 0 where temperature is left out."""
     per_degc_std: float
-    count: int
+    numbers: int
     """Of numbers that were explained."""
 
 
@@ -159,7 +159,7 @@ def likelihood(blocks: Blocks, noise: Noise, octaves: int, temperature: bool = F
     found = innovations(blocks.mean, other, blocks.restarts, step_of(noise, blocks.block_s))
     used = slice(len(blocks.half_s) - octaves, None)
     variance = 2 * noise.allan_variance(blocks.half_s[used])
-    count = found.count + int(np.sum(blocks.details[used]))
+    count = found.numbers + int(np.sum(blocks.details[used]))
     squares = found.readings + float(np.sum(blocks.squares[used] / variance))
     per_degc = per_degc_std = 0.0
     if temperature and found.temperature > 0:

@@ -182,8 +182,7 @@ def _knots(edges: int) -> int:
 
 
 def _summed(at: NDArray[np.int64], values: Array, count: int) -> Array:
-    total: Array = np.bincount(at, values, count)
-    return total[:count]
+    return np.bincount(at, values, count)[:count].astype(np.float64)
 
 
 def _solved(known: Information, density: float) -> tuple[Array, Array]:

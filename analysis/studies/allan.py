@@ -136,7 +136,8 @@ def readings(case: Case) -> Iterator[Samples]:
             period_ns=ones * period_ns,
             gyro_scale_radps=ones * section.scales.gyro_radps,
             accel_scale_mps2=ones * section.scales.accel_mps2,
-            temperature_degc=counts.temperature[::_LENGTH] * section.scales.temperature_degc,
+            temperature_degc=np.float64(section.scales.temperature_degc)
+            * counts.temperature[::_LENGTH].astype(np.float64),
             counts=np.concatenate([counts.gyro, counts.accel], axis=1).T,
         )
         done += size

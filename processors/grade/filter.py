@@ -22,7 +22,7 @@ from tramstream.machine.kernels import bound
 from tramstream.processors.grade import kernels
 from tramstream.processors.grade.kernels import STATES, Ix
 from tramstream.processors.grade.own_speed import OwnSpeed, SpeedMemory
-from tramstream.processors.grade.settings import Settings
+from tramstream.processors.grade.settings import GradeSettings
 from tramstream.processors.grade.waiting import State
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -121,7 +121,7 @@ class FilterMemory:
 class GradeFilter:
     """Slope, springs, mass: see `kernels`."""
 
-    def __init__(self, vehicle: Vehicle, settings: Settings, memory: FilterMemory) -> None:
+    def __init__(self, vehicle: Vehicle, settings: GradeSettings, memory: FilterMemory) -> None:
         self.memory = memory
         self._settings = settings
         gnss = vehicle.gnss

@@ -124,7 +124,7 @@ def update(
         x[i] += g[i] * y / S
         for j in range(i + 1):
             P[i, j] = P[j, i] = P[i, j] - g[i] * g[j] / S
-    return y, S, True
+    return y, float(S), True
 
 
 @compiled

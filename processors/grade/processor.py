@@ -34,7 +34,7 @@ from tramstream.processors.grade.events import (
 from tramstream.processors.grade.filter import Estimate, FilterMemory, GradeFilter, Verdict
 from tramstream.processors.grade.in_use import InUse, InUseMemory
 from tramstream.processors.grade.kernels import Ix
-from tramstream.processors.grade.settings import Settings
+from tramstream.processors.grade.settings import GradeSettings
 from tramstream.processors.grade.stopping import stop
 from tramstream.processors.grade.waiting import (
     NOWHERE,
@@ -106,8 +106,8 @@ class GradeEstimator(Processor):
     """
 
     name = "grade"
-    Settings = Settings
-    settings: Settings
+    Settings = GradeSettings
+    settings: GradeSettings
     inputs: tuple[Key, ...] = (keys.SYNC_FRAME, keys.EST_STATE, keys.MAP_MATCH)
     outputs = (
         keys.EST_GRADE,
@@ -329,7 +329,7 @@ class GradeEstimator(Processor):
         self._in_use.forget()
 
 
-def _source(settings: Settings) -> Key:
+def _source(settings: GradeSettings) -> Key:
     """Give the key of the states.
 
     Raises

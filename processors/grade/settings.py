@@ -10,7 +10,7 @@ from tramstream import keys
 from tramstream.config import NotNegative, Number, Positive, Struct
 
 
-class Settings(Struct, frozen=True, kw_only=True):
+class GradeSettings(Struct, frozen=True, kw_only=True):
     """The slope of the track, the vehicle's mass, and how far it goes until it stands."""
 
     source: Annotated[str, Meta(pattern=r"^[^/*]+/[^/*]+/[^/*]+$")] = keys.EST_STATE.path
