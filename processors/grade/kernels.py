@@ -124,7 +124,7 @@ def update(
         x[i] += g[i] * y / S
         for j in range(i + 1):
             P[i, j] = P[j, i] = P[i, j] - g[i] * g[j] / S
-    return y, float(S), True
+    return y, S, True
 
 
 @compiled
@@ -261,7 +261,7 @@ def _consider(
 ) -> tuple[float, float, bool]:
     """Take a scalar that changes rolling resistance and, where it is `pushed`, mass alone."""
     g = P @ H
-    S = R + H @ g
+    S: float = R + H @ g
     K = np.zeros(x.shape[0])
     K[Ix.ROLLING] = g[Ix.ROLLING] / S
     if pushed:

@@ -20,7 +20,7 @@ LEAST_PROBABILITY = 0.9
 """A less likely track's slope is not looked at."""
 BRANCHES = 50
 """A way of so many tracks is long enough for any braking."""
-_MIDDLES: Array = PIECE_M * (np.arange(PIECES) + 0.5)
+_MIDDLES = PIECE_M * np.arange(0.5, PIECES, dtype=np.float64)
 _FADED = BEND_LENGTH_M * (1.0 - np.exp(-_MIDDLES / BEND_LENGTH_M))
 
 
