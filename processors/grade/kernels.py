@@ -261,7 +261,7 @@ def _consider(
 ) -> tuple[float, float, bool]:
     """Take a scalar that changes rolling resistance and, where it is `pushed`, mass alone."""
     g = P @ H
-    S: float = R + H @ g
+    S = R + float(H @ g)
     K = np.zeros(x.shape[0])
     K[Ix.ROLLING] = g[Ix.ROLLING] / S
     if pushed:
