@@ -70,6 +70,7 @@ def test_line_is_exact_where_all_that_was_sent_whole_has_come(received: int, exa
     (line,) = books.lines()
     assert (line.device, line.sent, line.overrun) == ("imu", 100, 2)
     assert line.exact is exact
+    assert books.made("imu", "samples") == 102
 
 
 def test_process_that_was_replaced_is_counted() -> None:
