@@ -188,6 +188,11 @@ class Books:
         """Messages that somebody never had, or did not use."""
         return sum(self.losses.values())
 
+    def made(self, device: str, unit: str) -> int:
+        """What a simulated device has made until its last heartbeat, wherever it went."""
+        simulated = self.last.get(SIMULATORS)
+        return 0 if simulated is None else _stage(simulated, device, unit).received
+
     def lines(self) -> list[Line]:
         """The lines between simulated devices and bridges, as of the last heartbeats."""
         simulated = self.last.get(SIMULATORS)

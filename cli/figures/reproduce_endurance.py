@@ -42,7 +42,10 @@ def reproduce(options: Options) -> None:
         print(json.dumps(_plain(case, found)))
     else:
         _print(Console(width=max(Console().width, WIDTH)), case, found)
-    if not found.books.exact:
+    books = found.books
+    if stop.is_set():
+        say("ended by hand: what was on the lines then was not received")
+    if books.wrong or books.missing or not (books.exact or stop.is_set()):
         raise DamagedRecordError(
             f"the books do not add up: {_inexact(found)}", cure="this is a bug; please report it"
         )
@@ -94,6 +97,7 @@ def _plain(case: Case, found: Found) -> dict[str, Any]:
         "hours": (books.end_ns - books.begin_ns) / S / 3600,
         "pace": case.pace,
         "elapsed_s": found.elapsed_s,
+        "played_s": _played_s(case, found),
         "status": found.status,
         "exact": books.exact,
         "messages": books.messages,
@@ -128,9 +132,9 @@ def _print(console: Console, case: Case, found: Found) -> None:
     hours = (books.end_ns - books.begin_ns) / S / 3600
     minutes = max(60 * hours, 1e-9)
     console.print(
-        f"{NAME}: {hours:.2f} h of a minute of {case.receiver.name}, {case.bus.name} and an IMU "
-        f"that stands, {minutes * 60 / MINUTE_S:.0f} times, at {case.pace:g} times its pace "
-        f"({found.elapsed_s:.0f} s)",
+        f"{NAME}: {hours:.2f} h of the vehicle in {found.elapsed_s:.0f} s, {case.pace:g} times as "
+        f"fast; a minute of {case.receiver.name} and {case.bus.name} and an IMU that stands were "
+        f"played {_played_s(case, found) / MINUTE_S:.0f} times",
         soft_wrap=True,
     )
     table = Table(box=None, pad_edge=False, collapse_padding=True)
@@ -166,6 +170,11 @@ def _print(console: Console, case: Case, found: Found) -> None:
         console.print(f"{title}: {told or 'none'}", soft_wrap=True)
     again = ", ".join(f"{name} {n}" for name, n in books.restarts.items())
     console.print(f"processes that were replaced: {again or 'none'}")
+
+
+def _played_s(case: Case, found: Found) -> float:
+    """What the devices played of the vehicle's time: less where the machine is too busy."""
+    return found.books.made("imu", "samples") / case.imu_hz
 
 
 def _print_stages(console: Console, found: Found) -> None:
