@@ -93,7 +93,9 @@ def _strangers(group: str) -> list[str]:
             continue
         settings = getattr(plugins.load(group, name), "Settings", None)
         if settings is not None:
-            found.append(f"# {WHEN[group]}\n{section(name, settings, commented=True)}")
+            ours = settings.__module__.startswith("tramstream.")
+            when = WHEN_OURS if ours else WHEN[group]
+            found.append(f"# {when}\n{section(name, settings, commented=True)}")
     return found
 
 
@@ -125,6 +127,7 @@ WHEN = {
     "bridges": "Of another package; it runs if this section is there.",
     "processors": "Of another package; it runs if `processors` above names it.",
 }
+WHEN_OURS = "Not among those of every vehicle; it runs if `processors` above names it."
 EXAMPLE: dict[str, Any] = {
     "vehicle": "tram-1",
     "gnss": {
