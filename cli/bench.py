@@ -43,7 +43,7 @@ def bench(
 
         say("map …")
         figures += bench_map.measure(net)
-    if only and only in "grade-map":  # half a minute, and nothing of the vehicle's
+    if only == "grade-map":  # half a minute, and nothing of the vehicle's
         from tramstream.cli.figures import bench_grade_map
 
         say("grade-map …")
