@@ -75,7 +75,7 @@ def write(made: GradeMap, out: Path) -> None:
     ConfigError
         If the file cannot be written.
     """
-    arrow, parquet = arrow()
+    arrow, parquet = libraries()
     fields = [arrow.array(made.passes[name].astype(kind)) for name, kind in PASSES.items()]
     inside = arrow.ListArray.from_arrays(
         arrow.array(made.starts.astype(np.int32)),
@@ -113,7 +113,7 @@ def read(path: Path) -> GradeMap:
     ConfigError
         One sentence with the file and what is wrong with it.
     """
-    arrow, parquet = arrow()
+    arrow, parquet = libraries()
     try:
         with parquet.ParquetFile(path) as file:
             about = msgspec.json.decode((file.schema_arrow.metadata or {})[KEY], type=_About)
@@ -186,8 +186,8 @@ def _no_map(path: Path) -> ConfigError:
     )
 
 
-def arrow() -> tuple[Any, Any]:
-    """The package, or how to get it."""
+def libraries() -> tuple[Any, Any]:
+    """The package and its part for Parquet; says how to get it where it is not there."""
     try:
         import pyarrow
         import pyarrow.parquet

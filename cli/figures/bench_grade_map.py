@@ -34,7 +34,7 @@ _CHILD = "from tramstream.cli.figures.bench_grade_map import child; child()"
 
 def measure() -> list[Figure]:
     """Measure in a process of its own, whose memory is that of nothing else."""
-    file.arrow()  # if it is not installed, one sentence says so
+    file.libraries()  # if it is not installed, one sentence says so
     done = subprocess.run([sys.executable, "-c", _CHILD], capture_output=True, check=True)
     goals = {"grade_map_add_s": ADD_GOAL_S}
     return [
