@@ -27,6 +27,10 @@ EXTENDED_ID = 0x80000000
 """Set in a frame key whose identifier has 29 bits, as in a DBC."""
 _LIMIT_BYTES = 16_000_000
 """All of J1939 is 5 MB."""
+LONGEST_BITS = 64
+"""A longer signal is a text, as a vehicle's identification number, or a mistake."""
+_MOST = 1e100
+"""Of a scale or an offset; digits without end are a whole number to Python, and no float."""
 FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 """IEEE 754 has no others; a DBC may claim any."""
 SHORT = "frame too short"
@@ -54,8 +58,8 @@ class Field:
         of_j1939: bool = False,
     ) -> None:
         self.length: int = signal.length
-        self.scale: float = signal.scale
-        self.offset: float = signal.offset
+        self.scale = _within_floats(signal.scale)
+        self.offset = _within_floats(signal.offset)
         self._plain = self.scale == 1 and self.offset == 0
         self._order: Literal["big", "little"] = (
             "big" if signal.byte_order == "big_endian" else "little"
@@ -108,6 +112,8 @@ class Field:
             return None
         if there is None or len(data) < self.bytes_needed:
             return SHORT
+        if self.length > LONGEST_BITS:
+            return NO_NUMBER
         raw = self._number(data)
         if not math.isfinite(raw):
             return NO_NUMBER
@@ -130,6 +136,8 @@ class Field:
             return None
         if there is None or len(data) < self.bytes_needed:
             return SHORT
+        if self.length > LONGEST_BITS:
+            return NO_NUMBER
         raw = self._number(data)
         if not math.isfinite(raw):
             return NO_NUMBER
@@ -149,6 +157,11 @@ class Field:
 
     def _scaled(self, raw: float) -> float:
         return raw if self._plain else raw * self.scale + self.offset
+
+
+def _within_floats(number: float) -> float:
+    """A number of a DBC; infinity where a reading times it might not fit into a float."""
+    return number if abs(number) <= _MOST else math.inf
 
 
 def _names_none(name: str) -> bool:

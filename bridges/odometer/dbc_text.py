@@ -15,6 +15,7 @@ _MESSAGE_BYTES = 1785
 _PAGES = 100_000
 _MESSAGE = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
 _SIGNAL = re.compile(rb"\s*SG_\s+(\w+)\s*(\w*)\s*:\s*(\d+)\|(\d+)@")
+_NEGATIVE = re.compile(rb"\s*SG_\s+(\w+)\s*\w*\s*:\s*(?:-|\d+\|-)")
 _RANGE = re.compile(rb"(\d+)\s*-\s*(\d+)")
 _PAGE = re.compile(rb"m\d+M?")
 _IDENTIFIED = re.compile(
@@ -34,12 +35,19 @@ def check_bounds(text: bytes, name: str) -> None:
     ------
     ConfigError
         If a message is longer than any protocol on CAN carries, a signal longer than that, or a
-        multiplexer has more values than there can be pages.
+        multiplexer has more values than there can be pages; if a place or a length is negative.
     """
     for line in text.splitlines():
         message, signal = _MESSAGE.match(line), _SIGNAL.match(line)
         if message is not None and _beyond(message[2], _MESSAGE_BYTES):
             raise _too_long(name, "message", message[1], f"{_MESSAGE_BYTES} bytes")
+        negative = _NEGATIVE.match(line)
+        if negative is not None:
+            text_ = negative[1].decode("ascii", "replace")[:64]
+            raise ConfigError(
+                f"{name}: signal {text_} begins before its frame, or has less than no bits",
+                cure="correct the DBC",
+            )
         lengths = signal.groups()[2:] if signal is not None else ()
         if signal is not None and any(_beyond(each, 8 * _MESSAGE_BYTES) for each in lengths):
             raise _too_long(name, "signal", signal[1], f"{8 * _MESSAGE_BYTES} bits")

@@ -117,3 +117,30 @@ def test_value_with_a_name_is_a_value(tmp_path: Path) -> None:
     )
     _, field = found.find("M", "W", "$")
     assert [field.read(bytes((value,))) for value in range(5)] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("place", ["-1|8", "8|-8", "-90|4"])
+def test_signal_outside_of_all_frames_is_refused(tmp_path: Path, place: str) -> None:
+    text = f'BO_ 1 M: 8 ECU\n SG_ W : {place}@1+ (1,0) [0|0] "" ECU\n'
+    with pytest.raises(ConfigError, match="signal W begins before its frame"):
+        database(tmp_path, text)
+
+
+@pytest.mark.parametrize("size", [300, 308, 400])
+@pytest.mark.parametrize("what", ["scale", "offset"])
+def test_scale_or_offset_beyond_all_numbers_gives_none(
+    tmp_path: Path, what: str, size: int
+) -> None:
+    """As digits without end, which a DBC may have and a float may not."""
+    digits = "9" * size
+    pair = f"({digits},0.5)" if what == "scale" else f"(0.5,{digits})"
+    found = database(tmp_path, f'BO_ 1 M: 8 ECU\n SG_ W : 0|8@1+ {pair} [0|0] "" ECU\n')
+    field = found.find("M", "W", "$")[1]
+    assert [field.read(b"\x07"), field.read(b"\x00")] == [NO_NUMBER, NO_NUMBER]
+
+
+def test_signal_that_is_longer_than_a_number_is_none(tmp_path: Path) -> None:
+    """As a vehicle's identification number, which is a text; and one of thousands of bits."""
+    found = database(tmp_path, 'BO_ 1 M: 1785 ECU\n SG_ W : 0|4000@1+ (0.1,0) [0|0] "" ECU\n')
+    field = found.find("M", "W", "$")[1]
+    assert [field.read(b"\xff" * 500), field.read_counter(b"\xff" * 500)] == [NO_NUMBER, NO_NUMBER]
