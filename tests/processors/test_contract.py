@@ -150,7 +150,7 @@ class TestForeignProcessor(Contract):
 
     def make(self) -> list[Processor]:
         comfort = self.module.Comfort(ride().vehicle)
-        comfort.settings = self.module.Settings(limit_mps2=LOW_MPS2)
+        comfort.settings = comfort.Settings(limit_mps2=LOW_MPS2)
         return [Resampler(ride().vehicle), comfort]
 
     def test_its_events_are_among_what_is_tested(self) -> None:

@@ -913,13 +913,14 @@ def test_navigation_of_u_blox_7_is_a_fix_as_any() -> None:
 
 
 def test_end_of_the_bytes_gives_what_was_held_and_leaves_nothing() -> None:
+    # Two whole frames behind a long start do not show yet that it is none; a third would.
     header = b"\xb5\x62\x02\x15" + (8176).to_bytes(2, "little") + bytes(11) + b"\xff" + bytes(4)
     bridge = GnssBridge(VEHICLE)
-    held = b"".join(solution(START_NS + k * S // 5) for k in range(20))
+    held = b"".join(solution(START_NS + k * S // 5) for k in range(2))
     out = bridge.step(raw(solution(START_NS - S) + header + held, BOOT_NS))
     assert len(on(out, keys.GNSS_FIX)) == 1
     out = bridge.finish()
-    assert len(on(out, keys.GNSS_FIX)) == 20
+    assert len(on(out, keys.GNSS_FIX)) == 2
     for ledger in bridge.ledgers():
         assert ledger.balanced
         assert ledger.pending == 0
