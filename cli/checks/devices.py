@@ -177,6 +177,7 @@ def _has_open(number: int, target: str) -> bool:
 def _listen(name: str, port: Any, bridge: Any) -> Finding:
     """Open the device and let its bridge work on what it says, until something is understood."""
     frames = received = 0
+    said = {keys.EVENT.at(name).path, keys.LOG.at(name).path}
     end_s = time.monotonic() + LISTEN_S
     try:
         port.open()
@@ -187,8 +188,9 @@ def _listen(name: str, port: Any, bridge: Any) -> Finding:
             frames += 1
             received += size(message)
             results = bridge.step(Sample(port.key, message, message.stamp_ns, 0))
-            if results:
-                what = ", ".join(sorted({result.key.path for result in results}))
+            paths = {result.key.path for result in results} - said  # what is said of it is no data
+            if paths:
+                what = ", ".join(sorted(paths))
                 return ok(name, f"{port.device} speaks: {what}")
     except DeviceError as error:
         return from_error(name, error)

@@ -8,9 +8,13 @@ from typing import Any
 
 import pytest
 
+from tramstream import keys
 from tramstream.bridges.odometer import socketcan
 from tramstream.cli.checks import devices
 from tramstream.config import Odometer, Wheel
+from tramstream.processor import Sample
+from tramstream.proto.health_pb2 import Event
+from tramstream.proto.raw_pb2 import CanFrames
 
 CONFIG: dict[str, Any] = {
     "channel": "can0",
@@ -50,3 +54,33 @@ def test_ip_that_hangs_leaves_the_bit_rate_unjudged(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(subprocess, "run", hang)
     assert devices.check_bit_rate(Odometer(**CONFIG)) == []
+
+
+class _Talker:
+    """A port that always has something, and a bridge that only complains of it."""
+
+    key = keys.ODO_FRAMES
+    device = "can0"
+
+    def open(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def read(self) -> CanFrames:
+        return CanFrames(stamp_ns=1, device="can0", id=[7], flags=[0], offset_ns=[0], data=[b""])
+
+    def step(self, sample: Sample) -> list[Sample]:
+        return [Sample(keys.EVENT.at("odometer"), Event(), 1, 1)]
+
+    def device_troubles(self) -> list[object]:
+        return []
+
+
+def test_device_of_which_only_events_are_told_does_not_speak(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As a bus on which no frame is one that the DBC knows: that it is said is no reading."""
+    monkeypatch.setattr(devices, "LISTEN_S", 0.1)
+    finding = devices._listen("odometer", _Talker(), _Talker())
+    assert finding.state == "warning"
+    assert "nothing that odometer understands" in finding.text

@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,20 +49,27 @@ def test_doctor_lists_the_interfaces_with_their_state(vcan: None) -> None:
     assert finding.text == "can0 (down), can1 (down), vcan0 (down)"
 
 
-def test_doctor_hears_a_bus_that_speaks(vcan: None) -> None:
+@contextmanager
+def speaking(id_: int, data: bytes = b"") -> Iterator[None]:
+    """Somebody says something twenty times a second, whenever doctor begins to listen."""
     sender, stop = Sender(), threading.Event()
 
     def speak() -> None:
         while not stop.wait(0.05):
-            sender.send(WHEELS_ID, bytes(8))
+            sender.send(id_, data)
 
     speaker = threading.Thread(target=speak)
     speaker.start()
     try:
-        ((state, text, _),) = findings("vcan0")
+        yield
     finally:
         stop.set()
         speaker.join()
+
+
+def test_doctor_hears_a_bus_that_speaks(vcan: None) -> None:
+    with speaking(WHEELS_ID, bytes(8)):
+        ((state, text, _),) = findings("vcan0")
     assert state == "ok"
     assert "vcan0 speaks" in text
 
@@ -69,10 +78,8 @@ def test_doctor_tells_silence_from_frames_that_mean_nothing(vcan: None) -> None:
     ((state, text, _),) = findings("vcan0")
     assert state == "warning"
     assert "silent" in text
-    sender = Sender()
-    timer = threading.Timer(1.0, lambda: sender.send(0x7 | REMOTE_BIT))  # a frame without bytes
-    timer.start()
-    ((state, text, cure),) = findings("vcan0")
+    with speaking(0x7 | REMOTE_BIT):  # frames without bytes
+        ((state, text, cure),) = findings("vcan0")
     assert state == "warning"
     assert "nothing that odometer understands" in text
     assert "bit rate" in cure

@@ -116,14 +116,14 @@ def test_interface_that_was_deleted_is_noticed_at_once(port: CanPort, sender: Se
 def test_interface_made_anew_is_noticed_by_silence_if_by_nothing_else(vcan: None) -> None:
     """Should the kernel's word be lost (somebody read SO_ERROR), the watchdog still sees it."""
     port = can_port(silence_s=1.0)
+    opening_s = time.monotonic()
     port.open()
     remove("vcan0")
     make_vcan()
     assert port._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) != 0
-    started_s = time.monotonic()
     with pytest.raises(DeviceError, match="made anew"):
         [port.read() for _ in range(100)]
-    assert 0.5 < time.monotonic() - started_s < 3.0
+    assert time.monotonic() - opening_s > 1.0  # not before the silence was as long as was asked for
     port.close()
 
 
