@@ -211,6 +211,7 @@ def test_configuration_names_what_was_written(tmp_path: Path) -> None:
 
 
 # A run --------------------------------------------------------------------------------------------
+@pytest.mark.study
 @pytest.mark.live
 def test_books_of_a_few_minutes_through_a_running_vehicle_are_exact() -> None:
     """Whatever the machine has else to do: what is lost then is counted."""
