@@ -132,7 +132,7 @@ class GradeFilter:
         if not memory.P.any():
             self._begin()
         x, P, number = memory.x, memory.P, 0.5
-        self._follow = bound(kernels.follow, x, P, memory.scatter, *[number] * 8)
+        self._follow = bound(kernels.follow, x, P, memory.scatter, *[number] * 9)
         self._take_height = bound(kernels.take_height, x, P, *[number] * 4)
         self._take_climb = bound(kernels.take_climb, x, P, *[number] * 5)
         self._take_force = bound(kernels.take_force, x, P, *[number] * 5, False)
@@ -157,7 +157,7 @@ class GradeFilter:
         memory = self.memory
         dt_s = (stamp_ns - memory.stamp_ns) / S if memory.stamp_ns else 0.0
         memory.stamp_ns = stamp_ns
-        pitch = math.nan
+        pitch, before = math.nan, memory.state.pitch_variance
         if state is not None:
             memory.state, memory.state_ns, pitch = state, state.stamp_ns, state.pitch_rad
         elif self.away:
@@ -179,6 +179,7 @@ class GradeFilter:
             pitch,
             now.acceleration_mps2,
             now.pitch_variance,
+            before,
             memory.fix_variance,
             self._tau_s,
         )

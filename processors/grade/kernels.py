@@ -138,6 +138,7 @@ def follow(
     pitch_rad: float,
     acceleration_mps2: float,
     pitch_variance: float,
+    pitch_variance_before: float,
     fix_variance: float,
     fix_tau_s: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -151,8 +152,8 @@ def follow(
         θ of the body, nose down positive; NaN where there is none.
     acceleration_mps2 : float
         v̇; the springs feel the specific force f = v̇ + g α along the track.
-    pitch_variance : float
-        Of the pitch as the localiser states it, rad².
+    pitch_variance, pitch_variance_before : float
+        Of the pitch as the localiser states it, rad², and stated it a frame ago.
 
     Returns
     -------
@@ -167,13 +168,15 @@ def follow(
         taken = NOD_MPS2 * x[spring]
         variance = PITCH_VARIANCES * pitch_variance + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
         variance += taken * taken
+        learned = PITCH_VARIANCES * (pitch_variance_before - pitch_variance)
+        if learned > 0.0:
+            # What a localiser learns moves its pitch, and what it still errs by is independent of
+            # how far: without this its first departure would be taken for the springs' nod.
+            share = variance / (variance + learned)
+            _fade(x, P, offset, share, variance / (1.0 + share))
         variance = max(variance, x[offset] * x[offset] - P[offset, offset])
         _fade(x, P, offset, math.exp(-dt_s / OFFSET_TAU_S), variance)
         H = np.zeros(x.shape[0])
-        if P[offset, offset] > 1.01 * variance:  # the localiser has learned
-            H[offset] = 1.0
-            R = 1.0 / (1.0 / variance - 1.0 / P[offset, offset])
-            update(x, P, H, -x[offset], R, math.inf)
         force = acceleration_mps2 + GRAVITY * x[slope]
         H[slope], H[spring], H[offset] = 1.0 + GRAVITY * x[spring], force, 1.0
         y = -pitch_rad - (x[slope] + force * x[spring] + x[offset])
@@ -186,11 +189,14 @@ def follow(
     ahead = P[slope, slope] + 2.0 * shift_m * P[slope, bend] + shift_m * shift_m * P[bend, bend]
     force = acceleration_mps2 + GRAVITY * x[slope]
     nod = -x[spring] * force
+    by_slope = x[spring] * GRAVITY  # the force is known as well as the slope is
+    nod_variance = force * force * P[spring, spring] + by_slope * by_slope * P[slope, slope]
+    nod_variance += 2.0 * force * by_slope * P[spring, slope]
     return (
         x[slope] + shift_m * x[bend],
         ahead,
         nod,
-        force * force * P[spring, spring],
+        nod_variance,
         x[bend],
         x[Ix.MASS],
         math.sqrt(P[Ix.MASS, Ix.MASS]),

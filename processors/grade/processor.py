@@ -209,7 +209,9 @@ class GradeEstimator(Processor):
         message.grade_rad = estimate.slope_rad
         message.grade_std_rad = math.sqrt(estimate.variance + LEAST_STD_RAD * LEAST_STD_RAD)
         message.body_pitch_rad = estimate.nod_rad
-        message.body_pitch_std_rad = math.sqrt(estimate.nod_variance)
+        message.body_pitch_std_rad = math.sqrt(
+            max(estimate.nod_variance, 0.0) + LEAST_STD_RAD * LEAST_STD_RAD
+        )
         speed = self.memory.filter.state.speed_mps
         message.speed_mps = speed
         place = self.memory.place

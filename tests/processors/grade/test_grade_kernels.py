@@ -133,10 +133,16 @@ def test_force_that_is_led_by_a_localiser_changes_mass_and_rolling_alone() -> No
     assert np.linalg.eigvalsh(led_P).min() > 0.0
 
 
-def followed(x: Any, P: Any, pitch: float, acceleration: float) -> Any:
-    """A frame of a vehicle that stands: slope, its variance, nod, its variance."""
-    found = kernels.follow(x, P, np.zeros(1), 0.01, 0.0, 0.0, pitch, acceleration, 1e-6, 1.0, 20.0)
-    return found[:4]
+def followed(
+    x: Any, P: Any, pitch: float, acceleration: float, stated: tuple[float, float] = (1e-6, 1e-6)
+) -> Any:
+    """A frame of a vehicle that stands: slope, its variance, nod, its variance.
+
+    `stated` is the variance of its pitch, now and a frame ago.
+    """
+    way_m, shift_m, fix_variance, tau_s = 0.0, 0.0, 1.0, 20.0
+    given = pitch, acceleration, *stated, fix_variance, tau_s
+    return kernels.follow(x, P, np.zeros(1), 0.01, way_m, shift_m, *given)[:4]
 
 
 def fresh() -> tuple[Any, Any]:
@@ -168,12 +174,30 @@ def test_pitch_that_changes_while_nothing_moves_is_the_springs_or_an_error_and_n
     assert nod == pytest.approx(-springs * force, abs=4e-4), "bow up when it speeds up"
 
 
+@pytest.mark.parametrize("lasts", [1, 100], ids=("at once", "within a second"))
+def test_localiser_that_finds_its_pitch_in_a_departure_is_not_taken_for_springs(lasts: int) -> None:
+    """What it learns moves its pitch while the vehicle speeds up; this body does not nod."""
+    x, P = fresh()
+    before, after, slope, wrong = 0.02**2, 1e-6, 0.02, 0.03
+    P[Ix.OFFSET, Ix.OFFSET] = kernels.PITCH_VARIANCES * before
+    for _ in range(500):
+        followed(x, P, -slope + wrong, 0.0, (before, before))
+    for k in range(lasts):
+        known = 1.0 / before + (1.0 / after - 1.0 / before) * (k + 1) / lasts
+        known_before = 1.0 / before + (1.0 / after - 1.0 / before) * k / lasts
+        still = wrong / (before * known)
+        followed(x, P, -slope + still, 1.0, (1.0 / known, 1.0 / known_before))
+    spring, std = x[Ix.SPRING], math.sqrt(P[Ix.SPRING, Ix.SPRING])
+    assert abs(spring) < 3.0 * std
+    assert std > 0.002, "one departure that moves the pitch otherwise tells little"
+
+
 def test_covariance_stays_positive_over_an_hour_with_gaps_of_the_pitch() -> None:
     x, P = fresh()
     for k in range(36_000):
         pitch = math.nan if (k // 3000) % 3 == 1 else 0.02 * math.sin(k / 5000)
         kernels.follow(
-            x, P, np.full(1, 1e-8), 0.1, 1.0, 3.2, pitch, math.sin(k / 50), 1e-6, 1.0, 20.0
+            x, P, np.full(1, 1e-8), 0.1, 1.0, 3.2, pitch, math.sin(k / 50), 1e-6, 1e-6, 1.0, 20.0
         )
     assert np.linalg.eigvalsh(P).min() > 0.0
     assert np.isfinite(x).all()
