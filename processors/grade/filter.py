@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.estimation.fixes import deviations, measures_height, unusable
+from tramstream.estimation.localiser import Verdict
 from tramstream.machine.kernels import bound
 from tramstream.processors.grade import kernels
 from tramstream.processors.grade.kernels import STATES, Ix
@@ -68,15 +69,6 @@ UNKNOWN = State(
     mapped=False,
 )
 """What stands for a localiser that is away."""
-
-
-class Verdict(NamedTuple):
-    """A scalar as the filter saw it; becomes an Innovation."""
-
-    measurement: str
-    innovation: float
-    variance: float
-    accepted: bool
 
 
 class Estimate(NamedTuple):

@@ -20,6 +20,8 @@ from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import Vehicle
 from tramstream.errors import ConfigError
+from tramstream.estimation.followed import followed
+from tramstream.estimation.localiser import Verdict
 from tramstream.events import Event, declared
 from tramstream.keys import Key
 from tramstream.machine.kernels import bound
@@ -31,7 +33,7 @@ from tramstream.processors.grade.events import (
     PITCH_CONTRADICTS,
     SUSPENSION_CONTRADICTS,
 )
-from tramstream.processors.grade.filter import Estimate, FilterMemory, GradeFilter, Verdict
+from tramstream.processors.grade.filter import Estimate, FilterMemory, GradeFilter
 from tramstream.processors.grade.in_use import InUse, InUseMemory
 from tramstream.processors.grade.kernels import Ix
 from tramstream.processors.grade.settings import GradeSettings
@@ -54,7 +56,6 @@ from tramstream.proto.estimate_pb2 import (
     FilterParameters,
     GradeState,
     GradeStopping,
-    MotionState,
     Parameter,
     StoppingDistance,
 )
@@ -123,7 +124,7 @@ class GradeEstimator(Processor):
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
         settings, memory = self.settings, self.memory
-        self._source = _source(settings)
+        self._source = followed("grade.source", settings.source)
         self.inputs = (keys.SYNC_FRAME, self._source, keys.MAP_MATCH)
         mapped = vehicle.map is not None or vehicle.ekf.track == "always"
         self._waiting = Waiting(settings.delay_s, mapped, memory.waiting)
@@ -329,25 +330,6 @@ class GradeEstimator(Processor):
 
     def restored(self) -> None:
         self._in_use.forget()
-
-
-def _source(settings: GradeSettings) -> Key:
-    """Give the key of the states.
-
-    Raises
-    ------
-    ConfigError
-        If it is one of something else.
-    """
-    key = keys.find(settings.source)
-    if key is None:  # another package's: it says what all localisers say
-        return keys.define(settings.source, MotionState, 0.0, "state", "State of a localiser")
-    if key.type is not MotionState:
-        raise ConfigError(
-            f"$.grade.source: {settings.source} carries {key.type.DESCRIPTOR.full_name}; "
-            f"{keys.EST_STATE.path} is a state"
-        )
-    return key
 
 
 def _way_of(vehicle: Vehicle) -> WayAhead | None:

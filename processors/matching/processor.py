@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.config import MATCHER, Map, Vehicle
 from tramstream.errors import ConfigError
+from tramstream.estimation.followed import followed
 from tramstream.events import declared
 from tramstream.events.kinds import Event
 from tramstream.keys import Key
@@ -37,7 +37,6 @@ from tramstream.processors.matching.source import (
     States,
     StatesMemory,
 )
-from tramstream.proto.estimate_pb2 import MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.tracks import network as networks
 from tramstream.tracks.linear_reference import references
@@ -92,7 +91,7 @@ class MapMatcher(Processor):
         self._unread: Event | None = None
         if vehicle.map is None:
             return
-        key = _source(vehicle.map)
+        key = followed("map.source", vehicle.map.source, (keys.GNSS_FIX,))
         self.inputs = (key,)
         self._of_fixes = key.type is GnssFix
         self._source = self._followed()
@@ -186,23 +185,3 @@ class MapMatcher(Processor):
         settings = self._vehicle.map
         if self._matcher is not None and settings is not None:
             self._matcher, self._source = self._remembering(settings), self._followed()
-
-
-def _source(settings: Map) -> Key:
-    """The key that the map matcher follows.
-
-    Raises
-    ------
-    ConfigError
-        If it is one of something else.
-    """
-    key = keys.find(settings.source)
-    if key is None:  # another package's: it says what all localisers say
-        return keys.define(settings.source, MotionState, 0.0, "state", "State of a localiser")
-    followed: tuple[Any, ...] = (MotionState, GnssFix)
-    if key.type not in followed:
-        raise ConfigError(
-            f"$.map.source: {settings.source} carries {key.type.DESCRIPTOR.full_name}; "
-            f"{keys.EST_STATE.path} or {keys.GNSS_FIX.path} can be matched"
-        )
-    return key
