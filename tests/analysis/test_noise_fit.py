@@ -53,7 +53,7 @@ def test_likelihood_is_the_normal_density_of_the_means(time_s: float) -> None:
     restarts = np.arange(count) == 0
     found = innovations(mean, warm, restarts, step_of(noise, block_s))
     y, t = apart @ mean, apart @ warm
-    assert found.count == count - 1
+    assert found.numbers == count - 1
     assert found.readings == pytest.approx(y @ inverse @ y, rel=1e-3)
     assert found.both == pytest.approx(y @ inverse @ t, rel=1e-3)
     assert found.temperature == pytest.approx(t @ inverse @ t, rel=1e-3)
@@ -79,7 +79,7 @@ def test_stretches_are_independent_and_each_has_its_level() -> None:
         innovations(m, none[: len(m)], np.arange(len(m)) == 0, step) for m in np.split(mean, [25])
     ]
     assert both.readings == pytest.approx(sum(each.readings for each in parts))
-    assert both.count == 58
+    assert both.numbers == 58
 
 
 def test_errors_are_those_that_the_bound_allows_and_the_fit_knows_them() -> None:
@@ -183,7 +183,7 @@ def test_deviance_does_not_hang_on_the_unit() -> None:
     larger = Blocks(*(blocks._replace(mean=1e3 * blocks.mean, squares=1e6 * blocks.squares)))
     other = likelihood(larger, noise, OCTAVES)
     assert other.white == pytest.approx(1e3 * one.white)
-    assert other.deviance - one.deviance == pytest.approx(2 * one.count * math.log(1e3), rel=1e-9)
+    assert other.deviance - one.deviance == pytest.approx(2 * one.numbers * math.log(1e3), rel=1e-9)
 
 
 def test_blocks_are_half_a_second_long_where_there_are_enough_of_them() -> None:

@@ -85,8 +85,8 @@ def test_messages_come_in_the_order_of_publication_and_are_numbered(name: str) -
         assert sample.sequence == sequences[path] + 1 == sample.message.sequence
         sequences[path], published[path] = sample.sequence, sample.publish_ns
         assert isinstance(sample.message, sample.key.type)
-    assert sequences[keys.TRUTH_STATE.path] == 401
     chosen = simulation.scenario
+    assert sequences[keys.TRUTH_STATE.path] == 20 * chosen.truth_rate_hz + 1
     for section, key in (
         (chosen.imu, keys.IMU_BATCH), (chosen.gnss, keys.GNSS_FIX), (chosen.wheels, keys.ODO_WHEELS)
     ):  # fmt: skip
