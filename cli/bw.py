@@ -36,10 +36,10 @@ def bw(
     from typing import Any
 
     from tramstream.cli.monitor.source import look
-    from tramstream.cli.monitor.stats import Figures, KeyStats
     from tramstream.cli.monitor.survey import Sheet, survey
     from tramstream.cli.terminal.session import stop_on_signals
     from tramstream.events.wording import number, scaled
+    from tramstream.monitor.stats import Figures, KeyStats
 
     def cells(stats: KeyStats, of: Figures) -> list[str]:
         return [

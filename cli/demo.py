@@ -23,6 +23,12 @@ def demo(
         list[str] | None,
         typer.Option("--add", metavar="NAME", help="Run this processor of another package too."),
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve the live page beside, and print its address.")
+    ] = False,
+    listen: Annotated[
+        str, typer.Option("--listen", help="With --live: HOST:PORT of the page.")
+    ] = "127.0.0.1:8470",
     headless: Annotated[bool, typer.Option("--headless", help="No live screen.")] = False,
     json_: Annotated[
         bool, typer.Option("--json", help="Print one JSON object at the end.")
@@ -59,7 +65,7 @@ def demo(
     records = folder / "records"
     try:
         with fleet.running(Plan(vehicle, config, rate=rate), say, stop) as run:
-            _watch(run, stop, duration_s, headless or json_)
+            _watch(run, stop, duration_s, headless or json_, listen if live else "")
     finally:
         parts = sorted(records.glob("*.mcap*"))
         if not parts and stop.is_set():  # ended before there was anything to keep
@@ -87,11 +93,13 @@ def demo(
         )
 
 
-def _watch(run: Any, stop: Any, duration_s: float, headless: bool) -> None:
-    """Let the ride run, with the live screen or a line every ten seconds."""
+def _watch(run: Any, stop: Any, duration_s: float, headless: bool, listen: str) -> None:
+    """Let the ride run, with the live screen or a line every ten seconds, and perhaps the page."""
     import sys
     import time
+    from contextlib import ExitStack
 
+    from tramstream.cli.terminal.page_beside import page_beside
     from tramstream.cli.terminal.session import say
 
     begin_s = time.monotonic()
@@ -104,14 +112,21 @@ def _watch(run: Any, stop: Any, duration_s: float, headless: bool) -> None:
             said += 10
             say(f"{said} s of {duration_s:g} s")
 
-    if headless or not sys.stdout.isatty():
-        run.until(stop, duration_s, each)
-        return
-    from tramstream.cli.top import live_screen
+    with ExitStack() as stack:
+        page = ""
+        if listen:
+            vehicle = run.vehicle
+            page = stack.enter_context(page_beside(vehicle.vehicle, vehicle.runtime_dir, listen))
+            say(f"live page: {page}")
+        if headless or not sys.stdout.isatty():
+            run.until(stop, duration_s, each)
+            return
+        from tramstream.cli.top import live_screen
 
-    title = f"tramstream demo: a simulated ride, {duration_s:g} s. Ctrl-C ends it early."
-    with live_screen(run.bus, run.vehicle.vehicle, title) as refresh:
-        run.until(stop, duration_s, refresh)
+        title = f"tramstream demo: a simulated ride, {duration_s:g} s. Ctrl-C ends it early."
+        title += f" Page: {page}" if page else ""
+        with live_screen(run.bus, run.vehicle.vehicle, title) as refresh:
+            run.until(stop, duration_s, refresh)
 
 
 def _place_rows(report: Any) -> list[tuple[str, str, str]]:

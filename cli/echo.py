@@ -33,8 +33,8 @@ def echo(
 ) -> None:
     """Print messages as they come, or as they stand in a file; json: one object a line."""
     from tramstream.cli.monitor.source import LiveSource, Waiting, look
-    from tramstream.cli.monitor.stats import Sequence
     from tramstream.cli.terminal.session import say, stop_on_signals
+    from tramstream.monitor.stats import Sequence
     from tramstream.shown import shown
 
     as_json = json_ or format_ is Format.json

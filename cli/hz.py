@@ -36,10 +36,10 @@ def hz(
     from typing import Any
 
     from tramstream.cli.monitor.source import look
-    from tramstream.cli.monitor.stats import Figures, KeyStats
     from tramstream.cli.monitor.survey import Sheet, survey
     from tramstream.cli.terminal.session import stop_on_signals
     from tramstream.events.wording import number
+    from tramstream.monitor.stats import Figures, KeyStats
 
     def cells(stats: KeyStats, of: Figures) -> list[str]:
         periods = (of.period_min_s, of.period_max_s, of.period_std_s)

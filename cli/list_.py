@@ -76,7 +76,7 @@ def _on_bus(source: LiveSource, stop: Any, listen_s: float) -> list[dict[str, An
     """What came within `listen_s` or until `stop`."""
     import time
 
-    from tramstream.cli.monitor.stats import Stats
+    from tramstream.monitor.stats import Stats
 
     stats = Stats(listen_s)
     end_s = time.monotonic() + listen_s
@@ -102,8 +102,8 @@ def _on_bus(source: LiveSource, stop: Any, listen_s: float) -> list[dict[str, An
 
 def _in_file(source: FileSource) -> list[dict[str, Any]]:
     """What the record's channels say."""
-    from tramstream.cli.monitor.stats import KeyStats, order
     from tramstream.clock import S
+    from tramstream.monitor.stats import KeyStats, order
 
     duration_s = (source.record.end_ns - source.record.start_ns) / S
     counts = {info.topic: info for info in source.channels}

@@ -27,7 +27,7 @@ CTRL_C = 130
 
 PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
-    "Looking": ("top", "list", "echo", "hz", "bw", "info", "config"),
+    "Looking": ("top", "live", "list", "echo", "hz", "bw", "info", "config"),
     "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
     "Map": ("map", "grade-map"),
     "Figures": ("evaluate", "report", "reproduce", "bench"),

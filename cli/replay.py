@@ -98,13 +98,16 @@ def replay(
 def replay_bus(runtime_dir: Path, say: Callable[[str], None]) -> closing[ZenohBus]:
     """A patient session: on the bus that is there, else as the router of a new one."""
     from tramstream.clock import VehicleClock
+    from tramstream.transport import buses
     from tramstream.transport.bus import ZenohBus, router_listens
 
     clock = VehicleClock.shared(runtime_dir)
     if router_listens(runtime_dir):
         return closing(ZenohBus.connect(runtime_dir, clock, patient=True))
     say(f"no bus in {runtime_dir} yet; this replay is its router")
-    return closing(ZenohBus.route(runtime_dir, clock, patient=True))
+    bus = ZenohBus.route(runtime_dir, clock, patient=True)
+    buses.note(runtime_dir)
+    return closing(bus)
 
 
 def refuse_live(bus: Bus, vehicle: str, onto_live: bool) -> None:

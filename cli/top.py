@@ -13,16 +13,14 @@ from tramstream.cli.terminal.options import JsonOption, VehicleOption
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from tramstream.cli.monitor.board import Board
-    from tramstream.cli.monitor.stats import Stats
+    from tramstream.monitor.board import Board
+    from tramstream.monitor.watch import Watch
     from tramstream.transport.bus import Bus
 
 LISTEN_S = 2.5
 """Two heartbeats of each node: its processor share is told by their difference."""
 REFRESH_S = 0.25
 POLL_S = 0.05
-WINDOW_S = 5.0
-RING_CAPACITY = 16384
 
 
 def top(
@@ -43,9 +41,10 @@ def top(
 
     from tramstream.cli.terminal import session
     from tramstream.cli.terminal.keyboard import Keyboard
+    from tramstream.monitor.watch import Watch
 
     stop = session.stop_on_signals()
-    with session.client() as bus:
+    with session.client(vehicle) as bus:
         chosen = session.vehicle_on(bus, vehicle)
         if once or json_ or not sys.stdout.isatty():
             _once(Watch(bus, chosen), stop.wait, listen_s, json_)
@@ -54,43 +53,6 @@ def top(
             while not stop.is_set() and keyboard.pressed() != "q":
                 refresh()
                 stop.wait(POLL_S)
-
-
-class Watch:
-    """Everything that `vehicle` publishes, counted as it comes."""
-
-    def __init__(self, bus: Bus, vehicle: str) -> None:
-        from tramstream import keys
-        from tramstream.cli.monitor.stats import Stats
-        from tramstream.transport.bus import Envelope
-        from tramstream.transport.descriptions import Decoder
-        from tramstream.transport.ring import Ring
-
-        self.vehicle = vehicle
-        self.stats: Stats = Stats(WINDOW_S)
-        self._decode = Decoder(bus)
-        self._bus = bus
-        self._ring: Ring[Envelope] = Ring(RING_CAPACITY)
-        expression = f"{keys.ROOT}/{vehicle}/**"
-        self._subscription = bus.subscribe(expression, lambda e: self._ring.put(e.topic, e))
-
-    def update(self) -> int:
-        """Count what has come; return the time now."""
-        for _ in range(len(self._ring)):
-            envelope = self._ring.get(0.0)
-            if envelope is not None:
-                self.stats.add(envelope)
-        return self._bus.clock.now_ns()
-
-    def board(self) -> Board:
-        """All rows of the screen, now."""
-        from tramstream.cli.monitor.board import board
-
-        now_ns = self.update()
-        return board(self.stats, self.vehicle, now_ns, self._decode)
-
-    def close(self) -> None:
-        self._subscription.close()
 
 
 def render(board: Board, title: str = "", height: int = 0) -> RenderableType:
@@ -109,6 +71,8 @@ def live_screen(
 
     from rich import get_console
     from rich.live import Live
+
+    from tramstream.monitor.watch import Watch
 
     watch = Watch(bus, vehicle)
     console = console or get_console()

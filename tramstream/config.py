@@ -387,11 +387,18 @@ def map_shift_std_m(vehicle: Vehicle) -> float:
     return vehicle.map.shift_over_std * vehicle.map.std_m
 
 
+RUNTIME_DIR = "TRAMSTREAM_RUNTIME_DIR"
+"""Environment variable that names the folder of the bus."""
+
+
 def default_runtime_dir() -> Path:
-    """`TRAMSTREAM_RUNTIME_DIR`, else /run/tramstream for root, else a folder of the user's own."""
-    chosen = os.environ.get("TRAMSTREAM_RUNTIME_DIR")
-    if chosen:
-        return Path(chosen)
+    """`TRAMSTREAM_RUNTIME_DIR`, else the user's own folder."""
+    chosen = os.environ.get(RUNTIME_DIR)
+    return Path(chosen) if chosen else own_runtime_dir()
+
+
+def own_runtime_dir() -> Path:
+    """/run/tramstream for root, else a folder of the user's own."""
     if os.geteuid() == 0:
         return Path("/run/tramstream")
     user = os.environ.get("XDG_RUNTIME_DIR")

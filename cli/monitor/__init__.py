@@ -1,1 +1,1 @@
-"""Looking at a vehicle or a record: messages, figures of keys, the screen of `top`."""
+"""A vehicle or a record in a terminal: messages, figures of keys, the screen of `top`."""

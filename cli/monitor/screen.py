@@ -14,9 +14,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.style import Style
 
-from tramstream.cli.monitor.board import Board, DeviceRow, EventRow, KeyRow, Level, NodeRow
 from tramstream.clock import S
 from tramstream.events.wording import clipped, lasting, number, scaled
+from tramstream.monitor.board import Board, DeviceRow, EventRow, KeyRow, Level, NodeRow
 
 PLAIN = Style()
 DIM = Style(dim=True)

@@ -226,7 +226,7 @@ def look(key: str, file: Path | None, vehicle: str = "") -> Iterator[Source]:
             if record.damaged:
                 raise DamagedRecordError(record.damaged)
         return
-    with session.client() as bus:
+    with session.client(wanted.vehicle) as bus:
         if not wanted.vehicle:
             wanted = Wanted(session.vehicle_on(bus), wanted.pattern)
         yield LiveSource(bus, wanted)

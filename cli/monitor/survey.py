@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tramstream.cli.monitor.source import Source, Waiting, line
-from tramstream.cli.monitor.stats import Figures, KeyStats, Stats
 from tramstream.cli.terminal.columns import aligned
+from tramstream.monitor.stats import Figures, KeyStats, Stats
 
 PERIOD_S = 1.0
 

@@ -16,6 +16,7 @@ from tramstream.errors import BusError, ConfigError
 from tramstream.recorder.file.sink import ACTIVE
 from tramstream.recorder.file.storage import is_written
 from tramstream.shown import shown
+from tramstream.transport import buses
 from tramstream.transport.bus import Bus, ZenohBus
 
 
@@ -75,20 +76,54 @@ def stop_on_signals() -> threading.Event:
 
 
 @contextmanager
-def client(runtime_dir: Path | None = None) -> Iterator[Bus]:
-    """A session on the bus of `runtime_dir` (default: the user's), closed at the end.
+def client(vehicle: str = "") -> Iterator[Bus]:
+    """A session on a bus of this user, closed at the end: the only one, or that with `vehicle`.
 
     Raises
     ------
     BusError
-        If there is no bus.
+        If there is no bus, or several and none is chosen.
     """
-    folder = runtime_dir or config.default_runtime_dir()
-    bus = ZenohBus.connect(folder, VehicleClock.shared(folder))
+    bus = _the_one(vehicle)
     try:
         yield bus
     finally:
         bus.close()
+
+
+def _the_one(vehicle: str) -> Bus:
+    folders = buses.listening()
+    if len(folders) < 2:
+        folder = folders[0] if folders else config.default_runtime_dir()
+        return _joined(folder)
+    several: dict[str, list[str]] = {}
+    chosen: Bus | None = None
+    for folder in folders:
+        bus = _joined(folder)
+        several[str(folder)] = vehicles = _vehicles(bus)
+        if chosen is None and vehicle in vehicles:
+            chosen = bus
+        else:
+            bus.close()
+    if chosen is not None:
+        return chosen
+    told = "; ".join(
+        f"{folder}: {', '.join(names) or 'empty'}" for folder, names in several.items()
+    )
+    raise BusError(
+        f"vehicle {vehicle} is on none of the buses of this user ({told})"
+        if vehicle not in ("", keys.ANY_SOURCE)
+        else f"this user has several buses ({told}); choose with --vehicle",
+    )
+
+
+def _joined(folder: Path) -> Bus:
+    return ZenohBus.connect(folder, VehicleClock.shared(folder))
+
+
+def _vehicles(bus: Bus) -> list[str]:
+    """Vehicles that have nodes on the bus, by name."""
+    return sorted({keys.split(token)[0] for token in bus.alive(keys.alive("*", "*"))})
 
 
 def vehicle_on(bus: Bus, wanted: str = "") -> str:
@@ -99,10 +134,9 @@ def vehicle_on(bus: Bus, wanted: str = "") -> str:
     BusError
         If there is none, or several and none is wanted.
     """
-    tokens = bus.alive(keys.alive("*", "*"))
-    vehicles = sorted({keys.split(token)[0] for token in tokens})
     if wanted:
         return wanted
+    vehicles = _vehicles(bus)
     if len(vehicles) == 1:
         return vehicles[0]
     if not vehicles:

@@ -18,10 +18,10 @@ from looking import START_NS, VEHICLE, busy_bus, envelope, fix, tramstream, writ
 from tramstream import keys
 from tramstream.cli.monitor import readable, source
 from tramstream.cli.monitor.source import Wanted, read_key
-from tramstream.cli.monitor.stats import KeyStats, Sequence, Stats
 from tramstream.cli.terminal.plain import to_dict
 from tramstream.clock import S
 from tramstream.errors import ConfigError
+from tramstream.monitor.stats import KeyStats, Sequence, Stats
 from tramstream.proto.raw_pb2 import RawBytes
 from tramstream.recorder.file.writer import RecordFile
 

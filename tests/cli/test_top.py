@@ -11,15 +11,15 @@ from looking import START_NS, VEHICLE, busy_bus, envelope, fix, tramstream
 from rich.console import Console
 
 from tramstream import keys
-from tramstream.cli.monitor.board import Board, Level, board
-from tramstream.cli.monitor.digest import digest
 from tramstream.cli.monitor.screen import WIDE
-from tramstream.cli.monitor.stats import Stats
 from tramstream.cli.top import live_screen, render
 from tramstream.clock import S
 from tramstream.events import define
 from tramstream.events.messages import message_of
 from tramstream.events.wording import clipped, lasting, scaled
+from tramstream.monitor.board import Board, Level, board
+from tramstream.monitor.digest import digest
+from tramstream.monitor.stats import Stats
 from tramstream.proto.estimate_pb2 import GradeState, GradeStopping, StoppingDistance
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import DeviceHealth, NodeHealth

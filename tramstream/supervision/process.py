@@ -24,6 +24,7 @@ from tramstream.config_file import load
 from tramstream.errors import TramstreamError
 from tramstream.live import registry, router
 from tramstream.supervision.succession import Orphan
+from tramstream.transport import buses
 from tramstream.transport.bus import Bus, ZenohBus
 
 GROUPS = ("bridges", "ports", "processors", "nodes")
@@ -90,6 +91,7 @@ def run_node(name: str, config: Path, stop: threading.Event) -> None:
     bus: Bus
     if name == router.NAME:
         bus = ZenohBus.route(vehicle.runtime_dir, clock)
+        buses.note(vehicle.runtime_dir)
     else:
         bus = ZenohBus.connect(vehicle.runtime_dir, clock, stop)
     try:

@@ -12,10 +12,10 @@ from itertools import chain
 from typing import Any
 
 from tramstream.boundary import name_of
-from tramstream.cli.monitor.digest import digest
-from tramstream.cli.monitor.stats import KeyStats, Stats
 from tramstream.clock import S
 from tramstream.events.messages import facts_of, sentence_of
+from tramstream.monitor.digest import digest
+from tramstream.monitor.stats import KeyStats, Stats
 from tramstream.proto.health_pb2 import DeviceHealth, Event, NodeHealth
 from tramstream.transport.descriptions import Decoder
 
