@@ -48,6 +48,11 @@ def bench(
 
         say("grade-map …")
         figures += bench_grade_map.measure()
+    if only == "page":  # over a minute, and a hundred browsers
+        from tramstream.cli.figures import bench_page
+
+        say("page …")
+        figures += bench_page.measure()
     if only in "bus":
         say("bus …")
         figures += bus_round_trip()

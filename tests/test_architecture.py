@@ -19,7 +19,7 @@ from tramstream.proto import generate
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PARTS = ("bridges", "processors", "recorder", "analysis", "cli")
+PARTS = ("bridges", "processors", "recorder", "analysis", "web", "cli")
 """Folders that are installed below `tramstream`; the library is the folder of that name."""
 ALLOWED = {
     "library": {"library"},
@@ -27,6 +27,7 @@ ALLOWED = {
     "processors": {"library", "processors"},
     "recorder": {"library", "recorder"},
     "analysis": {"library", "bridges", "processors", "recorder", "analysis"},
+    "web": {"library", "web"},
     "cli": {"library", *PARTS},
 }
 """What may be imported by whom: arrows point inward, and siblings do not know each other."""

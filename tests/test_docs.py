@@ -84,7 +84,16 @@ def test_simulation_page_names_every_kind_of_fault() -> None:
 # What docstrings, comments and pages cite ---------------------------------------------------------
 CODE = [
     path
-    for folder in ("bridges", "cli", "processors", "recorder", "tests", "tramstream", "analysis")
+    for folder in (
+        "bridges",
+        "cli",
+        "processors",
+        "recorder",
+        "tests",
+        "tramstream",
+        "analysis",
+        "web",
+    )
     for path in sorted((REPOSITORY / folder).rglob("*"))
     if path.suffix in {".py", ".toml", ".proto"} and not path.name.endswith("_pb2.py")
 ]

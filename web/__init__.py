@@ -1,1 +1,1 @@
-"""A page that shows a vehicle while it rides: read only, served where it runs, with nothing from outside."""
+"""A page that shows a vehicle while it rides: read only, with nothing from outside."""

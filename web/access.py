@@ -1,8 +1,8 @@
 """Who may open the page: on loopback whoever is on the machine, from elsewhere who has the token.
 
-A page of another site that the same browser has open must get nothing either: the Host has to be one
-that the server answers to (else a name that was pointed at 127.0.0.1 would do), and a WebSocket's
-Origin has to be the page itself.
+A page of another site that the same browser has open must get nothing either: the Host has to be
+one that the server answers to (else a name that was pointed at 127.0.0.1 would do), and a
+WebSocket's Origin has to be the page itself.
 """
 
 from __future__ import annotations

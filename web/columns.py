@@ -32,7 +32,7 @@ COLUMNS = (
 """Time in seconds of Unix time on the vehicle clock; innovations in their own standard deviations,
 that of the largest size since the row before; `refused` counts measurements since then."""
 SUMMED, LARGEST = ("refused",), ("gnss_innovation", "wheels_innovation", "map_innovation")
-"""How several rows become one: these are added, of these the largest is kept, of others the last."""
+"""How several rows become one: these are added, of these the largest stays, of others the last."""
 BEGUN_AGAIN_S = 1.0
 FAST_ROWS, SLOW_ROWS = 600, 3600
 

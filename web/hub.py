@@ -1,4 +1,4 @@
-"""One picture to many pages: encoded once, the newest only, and a page that does not read waits alone."""
+"""One picture to many pages: encoded once, only the newest; who does not read waits alone."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ LISTENED = (
     "health/**",
 )
 EVENTS_KEPT, EVENTS_SENT = 200, 20
-"""A page has all of them when it opens, and then the last ones once a second; it knows their numbers."""
+"""A page has all of them when it opens, and then the last ones again and again, by number."""
 FRESH_S = 2.0
 """What came longer ago is shown as missing, not as if it were of now."""
 _RINEX = {0: "G", 1: "S", 2: "E", 3: "C", 5: "J", 6: "R", 7: "I"}

@@ -27,7 +27,7 @@ FRAME_S = 0.1
 STATUS_EVERY = 10
 """Frames between two of status."""
 FIRST_NS = S // 2
-"""So long the first message of a page is kept for others: an hour of history takes 50 ms to write."""
+"""So long the first message of a page is kept for others: it holds an hour."""
 LARGEST_REQUEST_BYTES = 1024
 """A page sends nothing on its WebSocket."""
 REQUEST_S = 5.0

@@ -1,7 +1,8 @@
-"""The live page beside a running vehicle: a process of its own, which the vehicle does not wait for."""
+"""The live page beside a running vehicle: a process of its own, for which nothing waits."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tramstream.cli.terminal.optional import needs
+from tramstream.config import RUNTIME_DIR
+from tramstream.errors import ConfigError
 
 LEAVE_S = 5.0
 ADDRESS = "live page: "
@@ -16,33 +19,41 @@ ADDRESS = "live page: "
 
 
 @contextmanager
-def page_beside(
-    vehicle: str, runtime_dir: Path, listen: str, net: Path | None = None
-) -> Iterator[str]:
+def page_beside(vehicle: str, runtime_dir: Path, listen: str) -> Iterator[str]:
     """Serve the page of a vehicle; gives its address.
 
     Raises
     ------
     ConfigError
-        If its packages are not installed.
+        If its packages are not installed, or nobody can listen there.
     """
-    import os
+    with page_process(vehicle, runtime_dir, listen) as (_, address):
+        yield address
 
+
+@contextmanager
+def page_process(
+    vehicle: str, runtime_dir: Path, listen: str
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The same with its process."""
     with needs("live"):
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
 
     command = [sys.executable, "-P", "-m", "tramstream.cli.main", "live", "--vehicle", vehicle]
-    command += ["--listen", listen, *(["--net", str(net)] if net is not None else [])]
-    environment = {**os.environ, "TRAMSTREAM_RUNTIME_DIR": str(runtime_dir)}
+    command += ["--listen", listen]
+    environment = {**os.environ, RUNTIME_DIR: str(runtime_dir)}
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:
-        said = ""
+        told: list[str] = []
         for said in process.stderr:
+            told.append(said.strip())
             if said.startswith(ADDRESS):
                 break
-        yield said.removeprefix(ADDRESS).strip() or "the live page did not start"
+        if not told or not told[-1].startswith(ADDRESS):
+            raise ConfigError(f"the live page did not start: {' '.join(told) or 'no word of it'}")
+        yield process, told[-1].removeprefix(ADDRESS)
     finally:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):

@@ -84,9 +84,11 @@ class Riding:
                                used=True)  # fmt: skip
             said += [
                 (keys.GNSS_SATELLITES, sky),
-                (keys.HEARTBEAT.at("gnss"), NodeHealth(node="gnss", text=EVIL, state=NodeHealth.DEGRADED)),
+                (keys.HEARTBEAT.at("gnss"),
+                 NodeHealth(node="gnss", text=EVIL, state=NodeHealth.DEGRADED)),
                 (keys.DEVICE.at("gnss"), DeviceHealth(device=EVIL, port="p")),
-                (keys.EVENT.at("tram"), Event(stamp_ns=now_ns, source="tram", kind="tram.x", sentence=EVIL)),
+                (keys.EVENT.at("tram"),
+                 Event(stamp_ns=now_ns, source="tram", kind="tram.x", sentence=EVIL)),
             ]  # fmt: skip
         for key, message in said:
             payload = message.SerializeToString()
@@ -187,7 +189,8 @@ def test_page_speaks_other_languages(tab: Tab, address: str, language: str, word
 def test_every_word_of_the_page_is_there_in_every_language(tab: Tab, address: str) -> None:
     riding_in(tab, address)
     found = tab.evaluate(
-        "import('./texts.js').then((t) => [...document.querySelectorAll('[data-text],[data-label]')]"
+        "import('./texts.js').then((t) => "
+        "[...document.querySelectorAll('[data-text],[data-label]')]"
         ".map((e) => e.dataset.text || e.dataset.label).filter((key) => !t.known(key)))"
     )
     assert found == []
