@@ -36,7 +36,8 @@ RATE_HZ = 100.0
 READERS = """
 import asyncio, json, sys, time
 import websockets
-address, clients, begin_s, end_s = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
+address, clients = sys.argv[1], int(sys.argv[2])
+begin_s, end_s = float(sys.argv[3]), float(sys.argv[4])
 async def silent():
     reader, writer = await asyncio.open_connection("127.0.0.1", int(address.rpartition(":")[2]))
     host = address.encode()
