@@ -20,7 +20,7 @@ from pathlib import Path
 from tramstream import keys
 from tramstream.cli.figures.bench_stages import Figure
 from tramstream.cli.terminal.page_beside import page_process
-from tramstream.clock import VehicleClock
+from tramstream.clock import S, VehicleClock
 from tramstream.proto.estimate_pb2 import GradeState, MapMatch, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
@@ -37,7 +37,7 @@ READERS = """
 import asyncio, json, sys, time
 import websockets
 address, clients = sys.argv[1], int(sys.argv[2])
-begin_s, end_s = float(sys.argv[3]), float(sys.argv[4])
+begin_s, end_s, ahead_s = (float(each) for each in sys.argv[3:6])
 async def silent():
     reader, writer = await asyncio.open_connection("127.0.0.1", int(address.rpartition(":")[2]))
     host = address.encode()
@@ -54,7 +54,7 @@ async def read(counts, late, k):
                 counts[k] += 1
                 if k == 0:
                     state = json.loads(message)["state"]
-                    late.append(time.time() - state["t_s"] if state else float("nan"))
+                    late.append(time.time() + ahead_s - state["t_s"])
 async def main():
     counts, late = [0] * clients, []
     quiet = await silent()
@@ -73,16 +73,17 @@ def measure() -> list[Figure]:
         bus = ZenohBus.route(folder, VehicleClock())
         try:
             with riding(bus), page_process(VEHICLE, folder, "127.0.0.1:0") as (process, address):
-                return _measured(process.pid, address.split("/")[2])
+                ahead_s = (bus.clock.now_ns() - time.time_ns()) / S
+                return _measured(process.pid, address.split("/")[2], ahead_s)
         finally:
             bus.close()
 
 
-def _measured(pid: int, address: str) -> list[Figure]:
+def _measured(pid: int, address: str, ahead_s: float) -> list[Figure]:
     time.sleep(SETTLE_S)
     alone_mb = usage.memory_mb(pid)["Pss"]
     begin_s = time.time() + SETTLE_S
-    times = (str(begin_s), str(begin_s + MEASURE_S))
+    times = (str(begin_s), str(begin_s + MEASURE_S), str(ahead_s))
     command = [sys.executable, "-c", READERS, address, str(CLIENTS), *times]
     readers = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     time.sleep(max(0.0, begin_s - time.time()))
