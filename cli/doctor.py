@@ -53,9 +53,10 @@ def doctor(
 def _findings(config: Path | None) -> Iterator[Finding]:
     """All checks, one after the other, so that each line shows as soon as it is known."""
     from tramstream.cli.checks import devices, machine
-    from tramstream.config import Recorder, Vehicle, default_runtime_dir
+    from tramstream.config import Recorder, Vehicle
     from tramstream.config_file import load
     from tramstream.errors import ConfigError
+    from tramstream.runtime_dir import default_runtime_dir
 
     yield from machine.check_python()
     yield from machine.check_processor()

@@ -48,13 +48,14 @@ def replay(
     import json
     from contextlib import ExitStack
 
-    from tramstream import config, keys
+    from tramstream import keys
     from tramstream.cli.terminal.keyboard import Keyboard
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.clock import S
     from tramstream.errors import DamagedRecordError
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
+    from tramstream.runtime_dir import default_runtime_dir
 
     def match(topic: str) -> bool:
         path = keys.split(topic)[1] or topic
@@ -64,7 +65,7 @@ def replay(
     with ExitStack() as stack:
         record = stack.enter_context(open_record(file))
         vehicle = as_ or f"{record.vehicle or 'record'}-replay"
-        bus = stack.enter_context(replay_bus(config.default_runtime_dir(), say))
+        bus = stack.enter_context(replay_bus(default_runtime_dir(), say))
         refuse_live(bus, vehicle, onto_live)
         start_ns = record.start_ns + int(start_s * S)
         end_ns = start_ns + int(duration_s * S) if duration_s else None

@@ -8,9 +8,10 @@ import msgspec
 import pytest
 
 from tramstream import config
-from tramstream.config import Vehicle, default_runtime_dir
+from tramstream.config import Vehicle
 from tramstream.config_file import load, parse
 from tramstream.errors import ConfigError
+from tramstream.runtime_dir import default_runtime_dir
 
 FULL = """
 vehicle = "tram-9001"

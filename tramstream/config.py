@@ -5,7 +5,6 @@ Defaults live here, each with its source. Units stand in field names and are SI 
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +13,7 @@ from msgspec import Meta
 
 from tramstream import keys, mounting
 from tramstream.calibrated import Calibrated
+from tramstream.runtime_dir import default_runtime_dir
 
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold
@@ -385,21 +385,3 @@ def map_shift_std_m(vehicle: Vehicle) -> float:
     if vehicle.map is None or not takes_track(vehicle):
         return 0.0
     return vehicle.map.shift_over_std * vehicle.map.std_m
-
-
-RUNTIME_DIR = "TRAMSTREAM_RUNTIME_DIR"
-"""Environment variable that names the folder of the bus."""
-
-
-def default_runtime_dir() -> Path:
-    """`TRAMSTREAM_RUNTIME_DIR`, else the user's own folder."""
-    chosen = os.environ.get(RUNTIME_DIR)
-    return Path(chosen) if chosen else own_runtime_dir()
-
-
-def own_runtime_dir() -> Path:
-    """/run/tramstream for root, else a folder of the user's own."""
-    if os.geteuid() == 0:
-        return Path("/run/tramstream")
-    user = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(user) / "tramstream" if user else Path(f"/tmp/tramstream-{os.geteuid()}")

@@ -10,8 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tramstream.cli.terminal.optional import needs
-from tramstream.config import RUNTIME_DIR
 from tramstream.errors import ConfigError
+from tramstream.runtime_dir import RUNTIME_DIR
 
 LEAVE_S = 5.0
 ADDRESS = "live page: "

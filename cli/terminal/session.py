@@ -10,11 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from tramstream import config, keys
+from tramstream import keys
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError, ConfigError
 from tramstream.recorder.file.sink import ACTIVE
 from tramstream.recorder.file.storage import is_written
+from tramstream.runtime_dir import default_runtime_dir
 from tramstream.shown import shown
 from tramstream.transport import buses
 from tramstream.transport.bus import Bus, ZenohBus
@@ -94,7 +95,7 @@ def client(vehicle: str = "") -> Iterator[Bus]:
 def _the_one(vehicle: str) -> Bus:
     folders = buses.listening()
     if len(folders) < 2:
-        folder = folders[0] if folders else config.default_runtime_dir()
+        folder = folders[0] if folders else default_runtime_dir()
         return _joined(folder)
     several: dict[str, list[str]] = {}
     chosen: Bus | None = None

@@ -11,35 +11,35 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from tramstream import config, private
+from tramstream import private, runtime_dir
 from tramstream.transport.router_socket import router_listens
 
 FOLDER = "buses"
 _MOST_BYTES = 4096
 
 
-def note(runtime_dir: Path) -> None:
-    """Note that a router listens in `runtime_dir`.
+def note(meeting: Path) -> None:
+    """Note that a router listens in `meeting`.
 
     Not where `TRAMSTREAM_RUNTIME_DIR` says where the bus is: whoever sets it looks there. A folder
     that cannot be written, or that others can write in, holds no notes: then a bus is found only
     where it is looked for.
     """
-    if os.environ.get(config.RUNTIME_DIR) or runtime_dir == config.own_runtime_dir():
+    if os.environ.get(runtime_dir.RUNTIME_DIR) or meeting == runtime_dir.own_runtime_dir():
         return
-    folder = config.own_runtime_dir() / FOLDER
+    folder = runtime_dir.own_runtime_dir() / FOLDER
     _noted(folder)  # what others have left goes
     with suppress(OSError):
         if not private.make(folder):
-            private.write(_note_of(folder, runtime_dir), os.fsencode(runtime_dir.absolute()))
+            private.write(_note_of(folder, meeting), os.fsencode(meeting.absolute()))
 
 
 def listening() -> list[Path]:
     """Folders of the user's buses that have a router now, the usual one first."""
-    if os.environ.get(config.RUNTIME_DIR):
-        folders = [config.default_runtime_dir()]
+    if os.environ.get(runtime_dir.RUNTIME_DIR):
+        folders = [runtime_dir.default_runtime_dir()]
     else:
-        folders = [config.own_runtime_dir(), *_noted(config.own_runtime_dir() / FOLDER)]
+        folders = [runtime_dir.own_runtime_dir(), *_noted(runtime_dir.own_runtime_dir() / FOLDER)]
     return [folder for folder in folders if router_listens(folder)]
 
 
@@ -54,17 +54,17 @@ def _noted(folder: Path) -> list[Path]:
     found = []
     for each in notes:
         try:
-            runtime_dir = Path(os.fsdecode(each.read_bytes()[:_MOST_BYTES]))
+            meeting = Path(os.fsdecode(each.read_bytes()[:_MOST_BYTES]))
         except OSError:
             continue  # its router ended in this instant
-        if runtime_dir.is_absolute() and router_listens(runtime_dir):
-            found.append(runtime_dir)
+        if meeting.is_absolute() and router_listens(meeting):
+            found.append(meeting)
         else:
             with suppress(OSError):
                 each.unlink(missing_ok=True)
     return found
 
 
-def _note_of(folder: Path, runtime_dir: Path) -> Path:
-    name = hashlib.blake2b(os.fsencode(runtime_dir.absolute()), digest_size=8).hexdigest()
+def _note_of(folder: Path, meeting: Path) -> Path:
+    name = hashlib.blake2b(os.fsencode(meeting.absolute()), digest_size=8).hexdigest()
     return folder / name
