@@ -56,7 +56,7 @@ def _findings(config: Path | None) -> Iterator[Finding]:
     from tramstream.config import Recorder, Vehicle
     from tramstream.config_file import load
     from tramstream.errors import ConfigError
-    from tramstream.runtime_dir import default_runtime_dir
+    from tramstream.private import default_runtime_dir
 
     yield from machine.check_python()
     yield from machine.check_processor()

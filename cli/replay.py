@@ -53,9 +53,9 @@ def replay(
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.clock import S
     from tramstream.errors import DamagedRecordError
+    from tramstream.private import default_runtime_dir
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
-    from tramstream.runtime_dir import default_runtime_dir
 
     def match(topic: str) -> bool:
         path = keys.split(topic)[1] or topic

@@ -11,7 +11,7 @@ from tramstream import config
 from tramstream.config import Vehicle
 from tramstream.config_file import load, parse
 from tramstream.errors import ConfigError
-from tramstream.runtime_dir import default_runtime_dir
+from tramstream.private import default_runtime_dir
 
 FULL = """
 vehicle = "tram-9001"

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from tramstream import keys, mounting
 from tramstream.calibrated import Calibrated
-from tramstream.runtime_dir import default_runtime_dir
+from tramstream.private import default_runtime_dir
 
 LARGEST = 1e9
 """No length, time, rate or scale of a vehicle is larger; as seconds, 64 bits of nanoseconds hold

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tramstream.cli.terminal.optional import needs
 from tramstream.errors import ConfigError
-from tramstream.runtime_dir import RUNTIME_DIR
+from tramstream.private import RUNTIME_DIR
 
 LEAVE_S = 5.0
 ADDRESS = "live page: "

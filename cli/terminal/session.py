@@ -13,9 +13,9 @@ from types import FrameType
 from tramstream import keys
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError, ConfigError
+from tramstream.private import default_runtime_dir
 from tramstream.recorder.file.sink import ACTIVE
 from tramstream.recorder.file.storage import is_written
-from tramstream.runtime_dir import default_runtime_dir
 from tramstream.shown import shown
 from tramstream.transport import buses
 from tramstream.transport.bus import Bus, ZenohBus

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from live import short_folder
 
-from tramstream import keys, runtime_dir
+from tramstream import keys, private
 from tramstream.cli.terminal import session
 from tramstream.clock import VehicleClock
 from tramstream.errors import BusError
@@ -21,8 +21,8 @@ from tramstream.transport.bus import ZenohBus
 def home(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The user's own folder, empty."""
     with short_folder() as folder:
-        monkeypatch.delenv(runtime_dir.RUNTIME_DIR, raising=False)
-        monkeypatch.setattr(runtime_dir, "own_runtime_dir", lambda: folder)
+        monkeypatch.delenv(private.RUNTIME_DIR, raising=False)
+        monkeypatch.setattr(private, "own_runtime_dir", lambda: folder)
         yield folder
 
 
@@ -70,7 +70,7 @@ def test_who_says_where_the_bus_is_gets_that_one(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with routed("tram-1", home), routed("demo") as other:
-        monkeypatch.setenv(runtime_dir.RUNTIME_DIR, str(other))
+        monkeypatch.setenv(private.RUNTIME_DIR, str(other))
         assert seen() == ["demo"]
         assert buses.listening() == [other]
 

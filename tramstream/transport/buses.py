@@ -11,7 +11,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from tramstream import private, runtime_dir
+from tramstream import private
 from tramstream.transport.router_socket import router_listens
 
 FOLDER = "buses"
@@ -25,9 +25,9 @@ def note(meeting: Path) -> None:
     that cannot be written, or that others can write in, holds no notes: then a bus is found only
     where it is looked for.
     """
-    if os.environ.get(runtime_dir.RUNTIME_DIR) or meeting == runtime_dir.own_runtime_dir():
+    if os.environ.get(private.RUNTIME_DIR) or meeting == private.own_runtime_dir():
         return
-    folder = runtime_dir.own_runtime_dir() / FOLDER
+    folder = private.own_runtime_dir() / FOLDER
     _noted(folder)  # what others have left goes
     with suppress(OSError):
         if not private.make(folder):
@@ -36,10 +36,10 @@ def note(meeting: Path) -> None:
 
 def listening() -> list[Path]:
     """Folders of the user's buses that have a router now, the usual one first."""
-    if os.environ.get(runtime_dir.RUNTIME_DIR):
-        folders = [runtime_dir.default_runtime_dir()]
+    if os.environ.get(private.RUNTIME_DIR):
+        folders = [private.default_runtime_dir()]
     else:
-        folders = [runtime_dir.own_runtime_dir(), *_noted(runtime_dir.own_runtime_dir() / FOLDER)]
+        folders = [private.own_runtime_dir(), *_noted(private.own_runtime_dir() / FOLDER)]
     return [folder for folder in folders if router_listens(folder)]
 
 
