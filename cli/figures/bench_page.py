@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from google.protobuf.message import Message
+
 from tramstream import keys
 from tramstream.cli.figures.bench_stages import Figure
 from tramstream.cli.terminal.page_beside import page_process
@@ -126,12 +128,17 @@ def riding(bus: Bus) -> Iterator[None]:
         thread.join()
 
 
-def _messages(now_ns: int, number: int) -> Iterator[tuple[keys.Key, MotionState | MapMatch]]:
+def _messages(now_ns: int, number: int) -> Iterator[tuple[keys.Key, Message]]:
     """What is published in one step of 10 ms."""
     phase = 0.01 * number
-    place = {"latitude_deg": 50.0 + 1e-4 * math.sin(phase), "longitude_deg": 14.0 + 1e-7 * number}
+    latitude_deg, longitude_deg = 50.0 + 1e-4 * math.sin(phase), 14.0 + 1e-7 * number
     state = MotionState(
-        stamp_ns=now_ns, sequence=number, mode=MotionState.TRACKING, speed_mps=12.0, **place
+        stamp_ns=now_ns,
+        sequence=number,
+        mode=MotionState.TRACKING,
+        speed_mps=12.0,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
     )
     for name in ("wheel_a", "wheel_b", "gnss_east", "gnss_north"):
         state.innovations.add(measurement=name, value=math.sin(phase), variance=1.0, accepted=True)
@@ -146,4 +153,6 @@ def _messages(now_ns: int, number: int) -> Iterator[tuple[keys.Key, MotionState 
         wheels.wheels.add(wheel="a", speed_mps=12.0)
         yield keys.ODO_WHEELS, wheels
     if number % 20 == 0:
-        yield keys.GNSS_FIX, GnssFix(stamp_ns=now_ns, valid=True, speed_mps=12.0, **place)
+        fix = GnssFix(stamp_ns=now_ns, valid=True, speed_mps=12.0)
+        fix.latitude_deg, fix.longitude_deg = latitude_deg, longitude_deg
+        yield keys.GNSS_FIX, fix
