@@ -38,7 +38,7 @@ def record(
     if out is not None:
         settings = msgspec.structs.replace(settings, directory=str(out))
     stop = stop_on_signals()
-    with client(loaded.runtime_dir if loaded is not None else None) as bus:
+    with client(vehicle, loaded.runtime_dir if loaded is not None else None) as bus:
         name = vehicle or (loaded.vehicle if loaded is not None else vehicle_on(bus))
         metadata: dict[str, str] = {}
         if loaded is not None:

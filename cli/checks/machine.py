@@ -154,7 +154,7 @@ def check_bus(folder: Path) -> tuple[list[Finding], list[str]]:
     try:
         if not bus.router_listens(folder):
             return [ok("bus", "no router yet; `tramstream run` will be it")], []
-        with client(folder) as session:
+        with client(folder=folder) as session:
             tokens = session.alive(keys.alive("*", "*"))
     except TramstreamError as error:
         return [from_error("bus", error)], []

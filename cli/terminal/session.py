@@ -77,15 +77,17 @@ def stop_on_signals() -> threading.Event:
 
 
 @contextmanager
-def client(vehicle: str = "") -> Iterator[Bus]:
+def client(vehicle: str = "", folder: Path | None = None) -> Iterator[Bus]:
     """A session on a bus of this user, closed at the end: the only one, or that with `vehicle`.
+
+    Where a `folder` is named, on the bus there.
 
     Raises
     ------
     BusError
         If there is no bus, or several and none is chosen.
     """
-    bus = _the_one(vehicle)
+    bus = _the_one(vehicle) if folder is None else _joined(folder)
     try:
         yield bus
     finally:
