@@ -187,6 +187,7 @@ def _motion(now: Any | None, state: Any | None) -> dict[str, Any] | None:
     if now is None:
         return None
     certain = state if state is not None else now
+    oriented = now.mode in (type(now).TRACKING, type(now).DEAD_RECKONING)
     return {
         "t_s": now.stamp_ns / S,
         "mode": name_of(type(now).Mode, now.mode),
@@ -195,7 +196,7 @@ def _motion(now: Any | None, state: Any | None) -> dict[str, Any] | None:
         "height_m": rounded(now.height_ellipsoid_m),
         "speed_mps": rounded(now.speed_mps),
         "acceleration_mps2": rounded(now.acceleration_mps2),
-        "heading_deg": rounded(_heading_deg(now.yaw_rad)),
+        "heading_deg": rounded(_heading_deg(now.yaw_rad)) if oriented else None,
         "roll_deg": rounded(math.degrees(now.roll_rad)),
         "pitch_deg": rounded(math.degrees(now.pitch_rad)),
         "standing": now.standing,

@@ -58,6 +58,14 @@ def test_place_is_of_now_and_certainty_of_the_filter() -> None:
     assert found["heading_deg"] == 60.0  # 30° counter-clockwise from east
 
 
+def test_heading_that_nobody_knows_is_not_shown() -> None:
+    shown = Shown()
+    shown.put(keys.EST_STATE, state(mode=MotionState.HEADING_UNKNOWN))
+    frame = shown.picture.frame(NOW_NS)
+    assert frame["state"]["heading_deg"] is None
+    assert frame["row"][COLUMNS.index("heading_deg")] is None
+
+
 def test_what_came_too_long_ago_is_not_shown_as_if_it_were_of_now() -> None:
     shown = Shown()
     shown.put(keys.EST_STATE, state())

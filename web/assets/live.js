@@ -92,7 +92,7 @@ function facts(message) {
   const { state, gnss, wheels, match, grade, stopping } = message;
   const rows = [];
   if (state) {
-    rows.push(["heading", `${decimals(state.heading_deg, 1)}° ±${decimals(state.heading_std_deg, 1)}`]);
+    if (state.heading_deg !== null) rows.push(["heading", `${decimals(state.heading_deg, 1)}° ±${decimals(state.heading_std_deg, 1)}`]);
     rows.push(["along", `±${decimals(state.along_std_m, 2)} m, ${text("within")} ${decimals(state.protection_along_m, 1)} m`]);
     rows.push(["across", `±${decimals(state.across_std_m, 2)} m, ${text("within")} ${decimals(state.protection_across_m, 1)} m`]);
     rows.push(["height", `${decimals(state.height_m, 1)} m`]);

@@ -104,8 +104,11 @@ export class MapPanel {
   load(history) {
     const latitude = history.columns.indexOf("latitude_deg");
     this._trailPoints = [];
-    for (const part of [history.hour, history.minute]) {
-      part[latitude].forEach((value, k) => this._step(value, part[latitude + 1][k]));
+    const since = history.minute[0][0] ?? Infinity; // the hour ends with the minute: not twice
+    for (const [part, end] of [[history.hour, since], [history.minute, Infinity]]) {
+      part[latitude].forEach((value, k) => {
+        if (part[0][k] < end) this._step(value, part[latitude + 1][k]);
+      });
     }
     this._trail.setLatLngs(this._trailPoints);
   }
@@ -145,8 +148,10 @@ export class MapPanel {
     if (state) {
       this._limit.setLatLngs(ellipse(state));
       const arrow = this._icon.getElement()?.firstElementChild;
-      if (arrow) arrow.style.transform = `rotate(${state.heading_deg}deg)`;
-      if (this.headingUp) this._rotate(-state.heading_deg);
+      const heading = state.heading_deg ?? 0;
+      if (arrow) arrow.style.transform = `rotate(${heading}deg)`;
+      this._icon.getElement()?.classList.toggle("unknown", state.heading_deg === null);
+      if (this.headingUp) this._rotate(-heading);
     }
     if (this.following) this._map.setView(here, this._map.getZoom(), { animate: false });
   }
@@ -230,7 +235,7 @@ function metres(a, b) {
 
 // The protection level is a bound along and across: an ellipse with these half axes.
 function ellipse(state) {
-  const heading = (state.heading_deg * Math.PI) / 180;
+  const heading = ((state.heading_deg ?? 0) * Math.PI) / 180;
   const degree = 180 / (Math.PI * EARTH_M);
   const points = [];
   for (let k = 0; k < 36; k += 1) {
