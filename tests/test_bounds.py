@@ -29,6 +29,10 @@ path = Path(sys.argv[1])
 """
 
 
+BOMB_BYTES = 1 << 28
+"""Unpacked it would take more memory than `refused` allows."""
+
+
 def refused(work: str, path: Path) -> str:
     """The sentence with which a file is refused."""
     more_mb, _, said = measured(IMPORTS, work, path)
@@ -64,9 +68,9 @@ def rewritten(path: Path, change: dict[str, bytes], kind: int = zipfile.ZIP_DEFL
         {"east.npy": head("(" * 3000)},
         {"east.npy": head("(1,)", "|O") + bytes(8)},
         {"east.npy": head("(4611686018427387904, 4)", "|V0")},
-        {"east.npy": bytes(1 << 30)},
+        {"east.npy": bytes(BOMB_BYTES)},
         {"names.json": b"[" * 1_000_000},
-        {"names.json": b" " * (1 << 30)},
+        {"names.json": b" " * BOMB_BYTES},
         {"more.npy": head("(0,)")},
     ],
     ids=["128 GiB", "brackets", "objects", "nothing", "zeros", "nested", "blanks", "other"],

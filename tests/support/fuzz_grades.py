@@ -84,6 +84,6 @@ def use_raster(path: Path) -> None:
 
 
 GRADE_KINDS = (
-    Kind("grade map", ".parquet", grade_maps, use_grade_map, change_grade_map, 30),
-    Kind("raster", ".tif", rasters, use_raster, change_bytes, 100),
+    Kind("grade map", ".parquet", grade_maps, use_grade_map, change_grade_map, 15),
+    Kind("raster", ".tif", rasters, use_raster, change_bytes, 50),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rides import Errors, judged, laid, reference, ridden, time_s
+from seeds import seeds
 from test_liveness import AT_S, PROTECTION_SIGMA, first_s, gone, undisturbed, worst_sigma
 from test_tram_faults import DRIVER, PLAN, altered
 
@@ -87,7 +88,7 @@ def test_imu_that_contradicts_all_others_is_left_out() -> None:
     assert errors.within(AT_S, 75.0).horizontal_m.max() < 10.0
 
 
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", seeds(1, of=3))
 @pytest.mark.parametrize("velocity", [True, False])
 def test_filter_that_is_right_is_never_found_wrong(seed: int, velocity: bool) -> None:
     """Not even where both wheels slip for long: fixes and forces speak for it."""

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from seeds import seeds
 
 from tramstream.clock import S
 from tramstream.processors.tram_sources.fix_error import LEAST_SHARE, SLOW_SHARE, FixError
@@ -17,7 +18,7 @@ from tramstream.processors.tram_sources.fix_error import LEAST_SHARE, SLOW_SHARE
 Array = NDArray[np.float64]
 TAU_S = 20.0
 STATED_M = 0.5
-SEEDS = range(1, 6)
+SEEDS = seeds(2, of=5)
 LONG_S = 900.0
 
 

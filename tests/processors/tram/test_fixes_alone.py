@@ -12,12 +12,13 @@ import msgspec
 import numpy as np
 import pytest
 from rides import Errors, Ride, altered, judged, laid, localised, reference, ridden, run, time_s
+from seeds import seeds
 from test_tram_start import copies
 
 from tramstream.estimation.localiser import HEADING_UNKNOWN
 from tramstream.processors.tram.localiser import TramLocaliser
 
-SEEDS = range(1, 4)
+SEEDS = seeds(2, of=3)
 STREETS = "| 120 L12/90 80 R10/90 150 R10/90 60 L15/90 200 | 100 L10/90 120 R12/90 90 |"
 """Corners of 10 to 15 m, and a stop."""
 CAR = {

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from rides import Array, Ride, judged, laid, localised, ridden, run, time_s
+from seeds import seeds
 from test_tram_faults import city
 from test_tram_start import LINE, copies, plain
 
@@ -19,7 +20,7 @@ from tramstream.processors.tram_filter.events import WHEEL_DEAD
 from tramstream.processors.tram_model.records import READING_NUMBERS
 from tramstream.proto.sync_pb2 import SyncFrame
 
-SEEDS = range(1, 4)
+SEEDS = seeds(1, of=3)
 START_NS = 1_700_000_000 * S
 STEP_S = 0.01
 GRAVITY = 9.81

@@ -12,12 +12,13 @@ from functools import cache
 import numpy as np
 import pytest
 from rides import Array, Errors, Ride, altered, laid, localised, reference, ridden
+from seeds import seeds
 
 from tramstream.estimation.localiser import DEAD_RECKONING, HEADING_UNKNOWN, TRACKING
 from tramstream.simulation.scenario import GnssDrift, GnssJump, Scenario, Slide, Slip, Tunnel
 
-SEEDS = range(1, 6)
-FEW = range(1, 4)
+ALL = range(1, 6)
+SEEDS, FEW = seeds(1, of=5), seeds(1, of=3)
 """For what is asked beyond the four figures that the filter is held to."""
 DRIVER = {
     "speed_mps": 12.0,
@@ -142,7 +143,7 @@ def test_tunnel_of_60_s_at_10_mps_ends_within_1_5_m(seed: int) -> None:
 def test_young_ride_knows_that_its_heading_underground_is_worse() -> None:
     """After 200 m nobody knows by how much the wheels differ: metres, and the filter says so."""
     normal = []
-    for seed in SEEDS:
+    for seed in ALL:
         errors, _, end_s = underground(seed, "| 60 L80/50 60 ")
         end = errors.at(end_s - 0.1)
         claimed = end.covariance[0, :2, :2]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rides import Errors, Ride, altered, judged, laid, reference, ridden, time_s
+from seeds import seeds
 from test_fixes_alone import CAR, STREETS, rms
 from test_tram_start import copies
 
@@ -16,7 +17,7 @@ from tramstream.processors.tram.localiser import TramLocaliser
 from tramstream.processors.tram_filter.events import DRAWN_STRAIGHT
 from tramstream.proto.sync_pb2 import SyncFrame
 
-SEEDS = range(1, 4)
+SEEDS = seeds(1, of=3)
 GAP_S = 1.5
 STD_M = 0.03
 CORNERING_RADPS = 0.25

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from rides import EVERY, Array, Errors, Ride, judged, laid, ridden, time_s
+from seeds import seeds
 from test_tram_faults import city
 from test_tram_start import PLACE_M, YAW_RAD, copies, plain
 
@@ -31,8 +32,8 @@ from tramstream.processors.tram_filter.events import (
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 
-SEEDS = range(1, 5)
-FEW = range(1, 3)
+SEEDS = seeds(1, of=4)
+FEW = seeds(1, of=2)
 """Where a ride is long, or where the seed hardly matters."""
 CURVE_S = 24.0
 STRAIGHT_S = 41.0

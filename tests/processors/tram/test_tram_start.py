@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rides import LEVEL, Errors, Ride, altered, judged, laid, localised, ridden, run, time_s
+from seeds import seeds
 from test_tram_faults import PLAN, city
 
 from tramstream.estimation.localiser import HEADING_UNKNOWN, Estimate
@@ -29,8 +30,8 @@ from tramstream.processors.tram_sources.fix_noise import FixNoise
 from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.simulation.scenario import Tunnel
 
-SEEDS = range(1, 6)
-FEW = range(1, 4)
+SEEDS = seeds(2, of=5)
+FEW = seeds(1, of=3)
 """Where there are several cases."""
 LINE = PLAN + " | 150 |"
 MOVING_S = 36.5
