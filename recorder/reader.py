@@ -193,9 +193,14 @@ class Record:
         sentence = boundary.left_out(counts)
         return f"{self.files[0].path}: {sentence}" if sentence else ""
 
-    def decoded(self, match: Callable[[str], bool] | None = None) -> Iterator[tuple[Entry, Any]]:
-        """Entries on topics that `match` says yes to, with their messages."""
-        for entry in self.messages(match):
+    def decoded(
+        self,
+        match: Callable[[str], bool] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[tuple[Entry, Any]]:
+        """Entries as `messages` gives them, with what is in them."""
+        for entry in self.messages(match, start_ns, end_ns):
             message = self.decode(entry)
             if not isinstance(message, Undecodable):
                 yield entry, message

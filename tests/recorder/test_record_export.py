@@ -19,10 +19,10 @@ from tramstream.errors import DamagedRecordError, RecordError
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.health_pb2 import Loss
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
-from tramstream.recorder.csv_tables import export_csv
 from tramstream.recorder.describe import describe
+from tramstream.recorder.exports.csv_tables import export_csv
+from tramstream.recorder.exports.geojson import geojson
 from tramstream.recorder.file.writer import RecordFile
-from tramstream.recorder.geojson import geojson
 from tramstream.recorder.reader import open_record
 
 

@@ -23,7 +23,7 @@ from tramstream.proto.health_pb2 import NodeHealth
 from tramstream.recorder.columns import read_ride
 from tramstream.recorder.describe import describe
 from tramstream.recorder.events import SECOND_PUBLISHER as RECORDED_APART
-from tramstream.recorder.geojson import geojson
+from tramstream.recorder.exports.geojson import geojson
 from tramstream.recorder.node import RecorderNode
 from tramstream.recorder.reader import open_record
 from tramstream.recorder.reprocess.run import Rerun, rerun

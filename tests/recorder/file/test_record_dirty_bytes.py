@@ -28,10 +28,10 @@ from tramstream.errors import DamagedRecordError
 from tramstream.live import registry
 from tramstream.live.host import ProcessorNode
 from tramstream.proto.raw_pb2 import TruthState
-from tramstream.recorder.csv_tables import export_csv
 from tramstream.recorder.describe import describe
+from tramstream.recorder.exports.csv_tables import export_csv
+from tramstream.recorder.exports.geojson import geojson
 from tramstream.recorder.file.writer import RecordFile
-from tramstream.recorder.geojson import geojson
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess.run import rerun
 from tramstream.transport.bus import LocalBus

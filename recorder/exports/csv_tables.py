@@ -3,7 +3,8 @@
 Columns are the message's fields in their order, with their names (which hold the units); fields of
 parts are joined by dots, elements of lists and maps by their index or key. Bytes are written in
 hex, enumerations by name, a Foxglove timestamp as nanoseconds. An absent field is an empty cell; a
-text that a spreadsheet would take for a formula has a `'` in front.
+text that a spreadsheet would take for a formula has a `'` in front. A batch of inertial samples is
+one row a sample, in SI units.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from tramstream import keys
 from tramstream.errors import RecordError
+from tramstream.proto.raw_pb2 import ImuBatch
+from tramstream.recorder.exports.inertial import COLUMNS, samples
+from tramstream.recorder.exports.window import WHOLE, Window
 from tramstream.recorder.reader import Record
 from tramstream.shown import cell
 
@@ -29,9 +33,12 @@ _NAME_LENGTH = 60
 
 
 def export_csv(
-    record: Record, out: Path, key: str = "", advance: Callable[[int], None] | None = None
+    record: Record,
+    out: Path,
+    window: Window = WHOLE,
+    advance: Callable[[int], None] | None = None,
 ) -> list[Path]:
-    """Write the keys of `record` that `key` includes (all if empty); the files written.
+    """Write the messages of `record` that are wanted; the files written.
 
     `out` is a file if its name ends in .csv and one key is meant, else a folder with a file a key.
     `advance` is told of each message passed; a record is passed twice. A file appears when it is
@@ -42,26 +49,29 @@ def export_csv(
     RecordError
         If there is no such key, or several are meant for one file.
     """
-    topics = [topic for topic, info in record.channels.items() if info.count and _meant(key, topic)]
+    topics = [t for t, info in record.channels.items() if info.count and window.means(t)]
     if not topics:
-        raise RecordError(f"{record.paths[0]}: has no key {key or 'at all'}; see `tramstream info`")
+        raise RecordError(
+            f"{record.paths[0]}: has no key {window.key or 'at all'}; see `tramstream info`"
+        )
     single = out.suffix == ".csv"
     if single and len(topics) > 1:
         raise RecordError(f"{out}: one file holds one key, {len(topics)} are meant; add --key")
     if not single:
         out.mkdir(parents=True, exist_ok=True)
-    columns = _columns(record, set(topics), advance)
+    inertial = {t for t in topics if record.type_of(t) == ImuBatch.DESCRIPTOR.full_name}
+    columns = _columns(record, set(topics) - inertial, window, advance)
     written: list[Path] = []
     for topic in topics:
         path = out if single else _free(out, _file_name(topic), written)
-        _write(record, topic, columns[topic], path, advance)
+        rows = (
+            _inertial(record, topic, window)
+            if topic in inertial
+            else _rows(record, topic, columns[topic], window)
+        )
+        _write(rows, path, advance)
         written.append(path)
     return written
-
-
-def _meant(expression: str, topic: str) -> bool:
-    path = keys.split(topic)[1]
-    return not expression or keys.matches(expression, topic) or bool(keys.matches(expression, path))
 
 
 def _file_name(topic: str) -> str:
@@ -80,11 +90,11 @@ def _free(folder: Path, name: str, taken: list[Path]) -> Path:
 
 
 def _columns(
-    record: Record, topics: set[str], advance: Callable[[int], None] | None
+    record: Record, topics: set[str], window: Window, advance: Callable[[int], None] | None
 ) -> dict[str, list[str]]:
     """Every column that any message of a topic has, in the order of the fields."""
     found: dict[str, dict[str, _Order]] = {topic: {} for topic in topics}
-    for entry, message in record.decoded(topics.__contains__):
+    for entry, message in record.decoded(topics.__contains__, *window.span(record)):
         known = found[entry.topic]
         for order, name, _ in flatten(message):
             if name not in known:
@@ -94,24 +104,33 @@ def _columns(
     return {topic: sorted(known, key=known.__getitem__) for topic, known in found.items()}
 
 
-def _write(
-    record: Record,
-    topic: str,
-    columns: list[str],
-    path: Path,
-    advance: Callable[[int], None] | None,
-) -> None:
-    unfinished = path.with_name(path.name + ".part")
+def _rows(record: Record, topic: str, columns: list[str], window: Window) -> Iterator[list[Any]]:
+    """The head, and a row a message."""
     place = {name: index + len(_ARRIVAL) for index, name in enumerate(columns)}
+    yield [*_ARRIVAL, *map(cell, columns)]
+    for entry, message in window.decoded(record, topic):
+        row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
+        row[0], row[1] = entry.log_ns, entry.publish_ns
+        for _, name, value in flatten(message):
+            row[place[name]] = cell(value)
+        yield row
+
+
+def _inertial(record: Record, topic: str, window: Window) -> Iterator[list[Any]]:
+    """The head, and a row a sample, in SI units: no program reads lists of counts."""
+    yield [*_ARRIVAL, *COLUMNS]
+    for entry, batch in window.decoded(record, topic):
+        for sample in samples(batch):
+            yield [entry.log_ns, entry.publish_ns, *sample]
+
+
+def _write(rows: Iterator[list[Any]], path: Path, advance: Callable[[int], None] | None) -> None:
+    """Write a file that appears when it is whole."""
+    unfinished = path.with_name(path.name + ".part")
     try:
         with unfinished.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow([*_ARRIVAL, *map(cell, columns)])
-            for entry, message in record.decoded(topic.__eq__):
-                row: list[Any] = [""] * (len(columns) + len(_ARRIVAL))
-                row[0], row[1] = entry.log_ns, entry.publish_ns
-                for _, name, value in flatten(message):
-                    row[place[name]] = cell(value)
+            for row in rows:
                 writer.writerow(row)
                 if advance is not None:
                     advance(1)
