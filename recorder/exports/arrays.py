@@ -196,7 +196,7 @@ def _pyarrow() -> tuple[Any, Any]:
     except ImportError as error:
         raise RecordError(
             "pyarrow, which writes Parquet, is not installed",
-            cure="pip install 'tramstream[grade-map]'",
+            cure="pip install 'tramstream[parquet]'",
         ) from error
     return pyarrow, pyarrow.parquet
 

@@ -213,9 +213,9 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     with RecordFile(path, VEHICLE) as record:
         put(record, keys.LOSS.at("x"), keys.LOSS.type(count=1), START_NS, 1, VEHICLE)
     for option, words in (
-        ("gpx", "no position"),
-        ("tum", "no pose"),
-        ("geoparquet", "no position"),
+        ("gpx", "position"),
+        ("tum", "pose"),
+        ("geoparquet", "position"),
     ):
         with pytest.raises(RecordError, match=f"has no {words}"):
             export([path], **{option: tmp_path / f"a.{option}"})
