@@ -103,6 +103,7 @@ def _played(record: Path, rate: float, stop: Any) -> Iterator[Bus]:
     from tramstream.cli.replay import replay_bus
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
+    from tramstream.transport.descriptions import tell
 
     folder = Path(tempfile.mkdtemp(prefix="tramstream-live-", dir="/tmp"))
     try:
@@ -110,6 +111,7 @@ def _played(record: Path, rate: float, stop: Any) -> Iterator[Bus]:
             vehicle = opened.vehicle or "record"
             playing = Replay(opened, bus, vehicle, rate, lambda _: True, loop=True)
             bus.announce(keys.alive(vehicle, "replay"))
+            tell(bus, opened.types())
             thread = threading.Thread(
                 target=playing.run, args=(stop, lambda: None), name="replay", daemon=True
             )

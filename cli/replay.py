@@ -56,6 +56,7 @@ def replay(
     from tramstream.private import default_runtime_dir
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.replay import Replay
+    from tramstream.transport.descriptions import tell
 
     def match(topic: str) -> bool:
         path = keys.split(topic)[1] or topic
@@ -73,6 +74,7 @@ def replay(
         say(f"{file}: {(record.end_ns - start_ns) / S:.1f} s as {keys.full(vehicle, '**')}")
         keyboard = stack.enter_context(Keyboard())
         bus.announce(keys.alive(vehicle, "replay"))
+        tell(bus, record.types())
 
         def each() -> None:
             if keyboard.pressed() == " ":

@@ -223,6 +223,12 @@ class Record:
             self._undecodable.setdefault(topic, set()).add(which)
         return message
 
+    def types(self) -> list[type[Message]]:
+        """The message types of its keys, each once, but for those that it does not describe."""
+        classes = (self.class_of(topic) for topic in self.channels)
+        known = [each for each in classes if not isinstance(each, str)]
+        return list({each.DESCRIPTOR.full_name: each for each in known}.values())
+
     def type_of(self, topic: str) -> str:
         """Full name of the topic's message type."""
         return self.channels[topic].schema

@@ -208,7 +208,7 @@ def write_mat(record: Record, out: Path, window: Window) -> None:
 
     found: dict[str, dict[str, Any]] = {}
     for key, table in tables(record, window).items():
-        fields = {}
+        fields: dict[str, Any] = {}
         for name, column in table.items():
             values = column.filled() if isinstance(column, np.ma.MaskedArray) else column
             fields[_mat_name(name, fields)] = values.reshape(-1, 1)

@@ -72,10 +72,10 @@ def _line(message: Any, level: LocalLevel) -> str:
         message.height_ellipsoid_m,
     ]
     east, north, up = level.from_geodetic(np.array(geodetic))
-    angles_deg = (
+    roll_deg, pitch_deg, yaw_deg = (
         math.degrees(each) for each in (message.roll_rad, message.pitch_rad, message.yaw_rad)
     )
-    w, x, y, z = mounting.quaternion_of(tuple(angles_deg))
+    w, x, y, z = mounting.quaternion_of((roll_deg, pitch_deg, yaw_deg))
     time_s = f"{message.stamp_ns // S}.{message.stamp_ns % S:09d}"
     pose = " ".join(f"{value:.9f}" for value in (east, north, up, -x, -y, -z, w))
     return f"{time_s} {pose}\n"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median_low
@@ -38,6 +38,7 @@ from tramstream.processor import Ledger, Processor, Sample
 from tramstream.proto.health_pb2 import DeviceHealth, Loss
 from tramstream.proto.sync_pb2 import Position, Snapshot, Tick
 from tramstream.transport.bus import Bus, Envelope
+from tramstream.transport.descriptions import tell
 
 TICK_S = 0.1
 RAW_S = 0.1
@@ -136,11 +137,8 @@ class ProcessorNode(Node):
 
     def _describe_types(self) -> None:
         """Tell whoever asks what messages of other packages are; the router knows ours."""
-        for key in self.graph.outputs.values():
-            name = key.type.DESCRIPTOR.full_name
-            if name not in keys.TYPES:
-                data = keys.descriptor_set(key.type).SerializeToString()
-                self.bus.answer(keys.schema(name), _saying(data))
+        types = (key.type for key in self.graph.outputs.values())
+        tell(self.bus, (each for each in types if each.DESCRIPTOR.full_name not in keys.TYPES))
 
     def finish(self) -> None:
         for reader in self.readers:
@@ -334,10 +332,6 @@ class ProcessorNode(Node):
     def ledgers(self) -> list[Ledger]:
         inside = [ledger for processor in self.processors for ledger in processor.ledgers()]
         return [self.refusals.ledger(self._received, 0), *inside] if self._by_topic else inside
-
-
-def _saying(data: bytes) -> Callable[[str], bytes]:
-    return lambda asked: data
 
 
 class _Lead:

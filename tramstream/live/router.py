@@ -10,6 +10,7 @@ from tramstream.clock import boot_id
 from tramstream.live.node import Node
 from tramstream.proto.health_pb2 import ClockReference
 from tramstream.transport.bus import Bus
+from tramstream.transport.descriptions import tell
 
 NAME = "router"
 
@@ -35,16 +36,9 @@ class RouterNode(Node):
         raise TypeError("the router reads nothing")
 
     def begin(self) -> None:
-        self.bus.answer(keys.schema("*"), describe)
+        tell(self.bus, keys.TYPES.values())
         self._reference()
         self.every(self.CLOCK_S, self._reference)
 
     def _reference(self) -> None:
         self.publish(keys.CLOCK, ClockReference(host_utc_ns=time.time_ns(), boot_id=boot_id()))
-
-
-def describe(topic: str) -> bytes | None:
-    """FileDescriptorSet of the message type of ours that `topic` (`keys.schema`) ends with."""
-    name = topic.rsplit("/", 1)[-1]
-    type_ = keys.TYPES.get(name)
-    return keys.descriptor_set(type_).SerializeToString() if type_ is not None else None

@@ -178,7 +178,7 @@ class LocalBus(Bus):
         self._answers.append((expression, reply))
 
     def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
-        answers = [reply(topic) for expr, reply in self._answers if keys.matches(expr, topic)]
+        answers = [reply(expr) for expr, reply in self._answers if keys.matches(topic, expr)]
         return [answer for answer in answers if answer is not None]
 
     def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
@@ -327,9 +327,9 @@ class ZenohBus(Bus):
     def answer(self, expression: str, reply: Callable[[str], bytes | None]) -> None:
         def callback(query: Any) -> None:
             with query:
-                data = reply(str(query.key_expr))
-                if data is not None:
-                    query.reply(query.key_expr, data)
+                topic = str(query.key_expr) if "*" in expression else expression
+                if (data := reply(topic)) is not None:
+                    query.reply(topic, data)
 
         self._held.append(self._session.declare_queryable(expression, callback))
 

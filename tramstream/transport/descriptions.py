@@ -7,6 +7,7 @@ for under `tram/schema/<type>`, where the node that makes its key answers.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,17 @@ def describe(bus: Bus, name: str, tries: int = 1) -> Described:
                 return Described(name, found)
             reason = found
     return Described(name, None, reason)
+
+
+def tell(bus: Bus, types: Iterable[type[Message]]) -> None:
+    """Answer whoever asks what these message types are, or (`tram/schema/**`) which there are."""
+    for type_ in types:
+        data = keys.descriptor_set(type_).SerializeToString()
+        bus.answer(keys.schema(type_.DESCRIPTOR.full_name), _saying(data))
+
+
+def _saying(data: bytes) -> Callable[[str], bytes]:
+    return lambda _: data
 
 
 class Decoder:
