@@ -10,15 +10,22 @@ from scripted import VEHICLE, Ear, ManualClock, Script
 
 from tramstream import keys
 from tramstream.clock import S, boot_id
-from tramstream.live.router import RouterNode, describe
+from tramstream.live.router import RouterNode
 from tramstream.transport.bus import LocalBus
+from tramstream.transport.descriptions import tell
+
+
+@pytest.fixture(scope="module")
+def told() -> LocalBus:
+    bus = LocalBus(ManualClock())
+    tell(bus, keys.TYPES.values())
+    return bus
 
 
 @pytest.mark.parametrize("key", keys.ALL, ids=lambda key: key.path)
-def test_type_of_every_key_is_described(key: keys.Key) -> None:
+def test_type_of_every_key_is_described(told: LocalBus, key: keys.Key) -> None:
     name = key.type.DESCRIPTOR.full_name
-    data = describe(keys.schema(name))
-    assert data is not None
+    (data,) = told.ask(keys.schema(name))
     files = FileDescriptorSet.FromString(data).file
     described = {
         f"{file.package}.{message.name}" for file in files for message in file.message_type
@@ -26,9 +33,9 @@ def test_type_of_every_key_is_described(key: keys.Key) -> None:
     assert name in described
 
 
-def test_unknown_type_is_met_with_silence() -> None:
-    assert describe(keys.schema("tramstream.Nothing")) is None
-    assert describe(keys.schema("*")) is None
+def test_unknown_type_is_met_with_silence_and_all_are_listed(told: LocalBus) -> None:
+    assert told.ask(keys.schema("tramstream.Nothing")) == []
+    assert len(told.ask(keys.schema("*"))) == len(keys.TYPES)
 
 
 def test_router_answers_for_types_and_relates_its_clock_to_utc_now_and_then() -> None:
