@@ -320,6 +320,11 @@ def matches(expression: str, key: str) -> bool:
     return _match(expression.split("/"), key.split("/"))
 
 
+def meet(one: str, other: str) -> bool:
+    """Whether one of two expressions includes the other."""
+    return matches(one, other) or matches(other, one)
+
+
 def _match(pattern: list[str], parts: list[str]) -> bool:
     """Match word by word; a `**` takes one more where what follows does not fit.
 

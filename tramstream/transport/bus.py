@@ -178,7 +178,7 @@ class LocalBus(Bus):
         self._answers.append((expression, reply))
 
     def ask(self, topic: str, timeout_s: float = 2.0, payload: bytes = b"") -> list[bytes]:
-        answers = [reply(expr) for expr, reply in self._answers if keys.matches(topic, expr)]
+        answers = [reply(topic) for expr, reply in self._answers if keys.meet(expr, topic)]
         return [answer for answer in answers if answer is not None]
 
     def attend(self, topic: str, take: Callable[[bytes, Callable[[], None]], None]) -> None:
