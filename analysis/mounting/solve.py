@@ -1,0 +1,173 @@
+"""The smoother's passes over a ride until the mounting stands still: batch maximum likelihood.
+
+Each pass linearises the whole ride along the last pass's trajectory, filters forwards and smooths
+backwards. The covariance of the mounting is the filter's at the last node: it is constant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tramstream.analysis.mounting import kernels
+from tramstream.analysis.mounting.drive import Drive
+from tramstream.analysis.mounting.kernels import Log, Model, State
+from tramstream.analysis.mounting.states import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    CROSS_LEVEL,
+    FIX_ERROR,
+    GYRO_BIAS,
+    MOUNTING,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    WHEEL_SCALE,
+    Arms,
+    Noise,
+    Point,
+    Prior,
+    prior_covariance,
+)
+
+Array = NDArray[np.float64]
+
+MOST_PASSES = 15
+SETTLED_RAD = 3e-6
+"""A pass that turns the mounting by less is the last: a hundredth of an angular minute."""
+ROBUST_FROM = 3
+"""Passes before it see errors of the linearisation, which are no outliers."""
+HUBER = 4.0
+ADAPTED = (3, 4, 5)
+"""Passes after which the constraints' deviations are set by their innovations."""
+_KIND_OF = {kernels.SIDE: "side_mps", kernels.UP: "up_mps"}
+
+
+class Known(NamedTuple):
+    """What is known before: from the configuration and the readings' scatter."""
+
+    noise: Noise
+    prior: Prior
+    arms: Arms
+    adapt: bool = True
+    """Whether the constraints' deviations are found from the ride."""
+
+
+class Solution(NamedTuple):
+    """What the passes end with."""
+
+    C_vb: Array
+    """Case to vehicle, (3, 3)."""
+    covariance: Array
+    """(3, 3), of a turn about the vehicle's axes, rad²."""
+    point: Point
+    noise: Noise
+    """With the constraints' deviations as they were found."""
+    log: Log
+    used: int
+    passes: int
+    settled: bool
+    history: Array
+    """(passes, 3, 3): C_vb after each pass."""
+
+
+def room_for(drive: Drive) -> Log:
+    """Memory of a pass."""
+    count = drive.length
+    most = count * 4 + 6 * len(drive.fixes.node) + 9 * int(drive.standing.sum()) + 16
+    return Log(
+        np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most), np.ones(most),
+        np.zeros((most, SIZE)), np.zeros((most, SIZE)),
+        np.zeros((count, SIZE)), np.zeros((count, SIZE, SIZE)),
+    )  # fmt: skip
+
+
+def solve(drive: Drive, start: Point, known: Known) -> Solution:
+    """Search the most likely mounting from a trajectory that is good to some degrees."""
+    log, point, noise = room_for(drive), start, known.noise
+    history = []
+    settled = False
+    P, used, number = np.zeros((SIZE, SIZE)), 0, 0
+    for number in range(1, MOST_PASSES + 1):
+        limit = HUBER if number >= ROBUST_FROM else 0.0
+        model = Model(drive, noise, known.arms, limit)
+        state = beginning(point, known.prior, noise)
+        kernels.forward(model, point, state, log)
+        P, used = state.P, int(state.used[0])
+        if not np.all(np.isfinite(state.x)):
+            break
+        errors = kernels.backward(model, point, log, used)
+        point = moved(point, errors)
+        history.append(point.C_vb)
+        step = float(np.linalg.norm(state.x[MOUNTING : MOUNTING + 3]))
+        adapting = known.adapt and number <= max(ADAPTED)
+        if adapting and number in ADAPTED:
+            noise = adapted(noise, known.noise, log, used)
+        if not adapting and number > ROBUST_FROM and step < SETTLED_RAD:
+            settled = True
+            break
+    covariance = P[MOUNTING : MOUNTING + 3, MOUNTING : MOUNTING + 3]
+    return Solution(
+        point.C_vb, covariance, point, noise, log, used, number, settled, np.array(history)
+    )
+
+
+def information(drive: Drive, point: Point, known: Known, log: Log | None = None) -> Array:
+    """Covariance of the mounting if the model is linearised at `point`: the bound at the truth."""
+    log = log if log is not None else room_for(drive)
+    state = beginning(point, known.prior, known.noise)
+    kernels.forward(Model(drive, known.noise, known.arms, 0.0), point, state, log)
+    return state.P[MOUNTING : MOUNTING + 3, MOUNTING : MOUNTING + 3].copy()
+
+
+def beginning(point: Point, prior: Prior, noise: Noise) -> State:
+    """Errors of a trajectory at the first node before anything is measured."""
+    x = np.zeros(SIZE)
+    x[ACCEL_BIAS : ACCEL_BIAS + 3] = -point.accel_bias[0]
+    x[GYRO_BIAS : GYRO_BIAS + 3] = -point.gyro_bias[0]
+    x[FIX_ERROR : FIX_ERROR + 3] = -point.fix_error[0]
+    x[CROSS_LEVEL] = -point.cross_level[0]
+    x[WHEEL_SCALE : WHEEL_SCALE + 3] = -point.constants
+    return State(x, prior_covariance(prior, noise), np.zeros(SIZE), np.zeros(1, np.int64))
+
+
+def moved(point: Point, errors: Array) -> Point:
+    """The trajectory with its errors taken away."""
+    turn = Rotation.from_rotvec(errors[:, ATTITUDE : ATTITUDE + 3]).as_matrix()
+    mounting = Rotation.from_rotvec(errors[-1, MOUNTING : MOUNTING + 3]).as_matrix()
+    return Point(
+        p_l=point.p_l + errors[:, POSITION : POSITION + 3],
+        vel_l=point.vel_l + errors[:, VELOCITY : VELOCITY + 3],
+        C_lb=turn @ point.C_lb,
+        accel_bias=point.accel_bias + errors[:, ACCEL_BIAS : ACCEL_BIAS + 3],
+        gyro_bias=point.gyro_bias + errors[:, GYRO_BIAS : GYRO_BIAS + 3],
+        fix_error=point.fix_error + errors[:, FIX_ERROR : FIX_ERROR + 3],
+        cross_level=point.cross_level + errors[:, CROSS_LEVEL],
+        C_vb=mounting @ point.C_vb,
+        constants=point.constants + errors[-1, WHEEL_SCALE : WHEEL_SCALE + 3],
+    )
+
+
+def adapted(noise: Noise, least: Noise, log: Log, used: int) -> Noise:
+    """Deviations of the constraints for which their innovations are as large as expected.
+
+    The median of the squares is asked: it knows no outliers. None falls below what is `least`.
+    """
+    found = noise
+    for kind, name in _KIND_OF.items():
+        rows = np.flatnonzero(log.kind[:used] == kind)
+        if len(rows) < 100:
+            continue
+        R = getattr(noise, name) ** 2
+        ratio = np.median(log.innovation[rows] ** 2 / log.variance[rows]) / _MEDIAN_CHI2
+        spread = float(np.mean(np.abs(log.variance[rows])))
+        R = max(R + (ratio - 1) * spread, getattr(least, name) ** 2)
+        found = found._replace(**{name: float(np.sqrt(R))})
+    return found
+
+
+_MEDIAN_CHI2 = 0.4549
+"""Median of χ² with one degree of freedom."""
