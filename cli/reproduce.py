@@ -11,7 +11,7 @@ import typer
 from tramstream.cli.figures.options import Options
 
 WORKS = (
-    *("konecny2004", "kaspar2023", "chladek2023"),
+    *("konecny2004", "kaspar2023", "chladek2023", "melenovsky2023"),
     *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance", "grade"),
 )
 
@@ -26,7 +26,7 @@ def reproduce(
         typer.Option(
             help="Rides of each kind (kaspar2023, default 5), line (matching, default 10), world "
             "(worlds, grade, default 1) or profile's average (chladek2023, default 300 and 60); "
-            "records (allan, default 20).",
+            "records (allan, default 20; melenovsky2023, default 20, and 100 mountings).",
             min=1,
         ),
     ] = None,
@@ -47,7 +47,8 @@ def reproduce(
         typer.Option(
             help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m, "
             "allan (sensors at rest); default all. matching: plain (the default), slow or gyro. "
-            "day: no map, map; default both. May be given several times.",
+            "day: no map, map; default both. melenovsky2023: work, model (the work's own estimator), "
+            "mountings, reference, cross-level, body; default all. May be given several times.",
         ),
     ] = None,
     duration_s: Annotated[

@@ -138,6 +138,8 @@ class Step(NamedTuple):
     """Velocity out of the accelerometers' bias."""
     from_gyro_bias: Array
     """Attitude out of the gyroscopes' bias."""
+    through_attitude: Array
+    """Velocity out of the gyroscopes' bias: what it turns until the middle of the step."""
     velocity_noise: Array
     attitude_noise: Array
     keep_fix: float
@@ -169,7 +171,7 @@ def _step(k: int, drive: Drive, point: Point, noise: Noise) -> Step:
         speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     keep_fix = math.exp(-dt / noise.fix_error_tau_s)
     keep_cross = math.exp(-speed * dt / noise.cross_level_m)
-    return Step(A, B, G, qv, qa, keep_fix, keep_cross, still)
+    return Step(A, B, G, _product(A, G) * 0.5, qv, qa, keep_fix, keep_cross, still)
 
 
 @compiled
@@ -217,6 +219,7 @@ def _rows(P: Array, step: Step, dt: float) -> None:
             for a in range(3):
                 gained += step.from_attitude[i, a] * P[ATTITUDE + a, j]
                 gained += step.from_accel_bias[i, a] * P[ACCEL_BIAS + a, j]
+                gained += step.through_attitude[i, a] * P[GYRO_BIAS + a, j]
             if not step.still:
                 P[POSITION + i, j] += dt * (P[VELOCITY + i, j] + gained / 2)
                 P[VELOCITY + i, j] += gained
@@ -305,12 +308,16 @@ def _constraints(k: int, model: Model, point: Point, state: State, log: Log) -> 
         _cross_row(C_vl[1], v, H[ATTITUDE : ATTITUDE + 3])
         H[MOUNTING], H[MOUNTING + 2] = -u[2], u[0]
         H[PIVOT] = -omega[2]
+        for i in range(3):
+            H[GYRO_BIAS + i] = C_vb[0, i] * z - C_vb[2, i] * x
         _update(state, log, (SIDE, k), -left, noise.side_mps**2, 0.0)
         up = u[2] + omega[0] * y - omega[1] * x
         H[VELOCITY : VELOCITY + 3] = C_vl[2]
         _cross_row(C_vl[2], v, H[ATTITUDE : ATTITUDE + 3])
         H[MOUNTING], H[MOUNTING + 1] = u[1], -u[0]
         H[PIVOT] = omega[1]
+        for i in range(3):
+            H[GYRO_BIAS + i] = C_vb[1, i] * x - C_vb[0, i] * y
         _update(state, log, (UP, k), -up, noise.up_mps**2, 0.0)
         wheel = drive.wheel_mps[k]
         if not math.isnan(wheel):
@@ -452,6 +459,7 @@ def backward(model: Model, point: Point, log: Log, used: int) -> Array:
 @compiled
 def _transposed(costate: Array, step: Step, dt: float) -> None:
     """Fᵀ λ, in place."""
+    turned = np.empty(3)
     if not step.still:
         for i in range(3):
             costate[VELOCITY + i] += dt * costate[POSITION + i]
@@ -462,12 +470,13 @@ def _transposed(costate: Array, step: Step, dt: float) -> None:
                 gained = costate[VELOCITY + i] - dt / 2 * costate[POSITION + i]
                 attitude += step.from_attitude[i, a] * gained
                 accel += step.from_accel_bias[i, a] * gained
+                gyro += step.through_attitude[i, a] * gained
                 gyro += step.from_gyro_bias[i, a] * costate[ATTITUDE + i]
             costate[ACCEL_BIAS + a] += accel
             costate[GYRO_BIAS + a] += gyro
-            step.from_attitude[0, a] = attitude  # kept until all columns are done
+            turned[a] = attitude
         for a in range(3):
-            costate[ATTITUDE + a] += step.from_attitude[0, a]
+            costate[ATTITUDE + a] += turned[a]
     for i in range(3):
         costate[FIX_ERROR + i] *= step.keep_fix
     costate[CROSS_LEVEL] *= step.keep_cross
