@@ -55,11 +55,10 @@ class Case(NamedTuple):
     """One ride."""
 
     kind: str = "work"
-    """work, mountings, reference, cross-level or body."""
+    """work, model (the same, and the work's estimator beside), mountings, reference, cross-level or
+    body."""
     seed: int = 1
     durations_s: tuple[float, ...] = DURATIONS_S
-    models: bool = False
-    """Whether the work's estimator is run as well."""
 
 
 class Figures(NamedTuple):
@@ -119,9 +118,9 @@ class Row(NamedTuple):
 @lru_cache(maxsize=4)
 def world_of(kind: str, seed: int = 0) -> tuple[World, Vehicle]:
     """The ride of a kind, and its vehicle's configuration."""
-    if kind in ("work", "mountings"):
+    if kind in ("work", "model", "mountings"):
         chosen = scenarios.load(WORK)
-        duration_s = DURATIONS_S[-1] if kind == "work" else MOUNTING_S
+        duration_s = MOUNTING_S if kind == "mountings" else DURATIONS_S[-1]
         return world(chosen, duration_s), configuration(chosen)
     chosen = scenarios.load("kaspar2023")
     cross = CrossLevel(math.radians(0.3), 50.0) if kind == "cross-level" else CrossLevel()
@@ -178,7 +177,7 @@ def _one(case: Case, drawn: Drawn, duration_s: float, of: World, vehicle: Vehicl
     judged = known._replace(noise=solution.noise)
     nothing = np.full(3, np.nan)
     first, filtered = nothing, nothing
-    if case.models:
+    if case.kind == "model":
         begun = initial(drive)
         first = off_rad(begun.C_vb, truth.C_vb)
         sensors = iekf.Sensors(*_densities(of), known.noise.accel_walk, known.noise.gyro_walk)

@@ -71,10 +71,7 @@ def _cases(kind: str, options: Options) -> list[Case]:
     durations = lengths.get(kind, (study.REFERENCE_S,))
     if options.duration_s is not None:
         durations = (options.duration_s,)
-    return [
-        Case("work" if kind == "model" else kind, seed, durations, kind == "model")
-        for seed in seeds
-    ]
+    return [Case(kind, seed, durations) for seed in seeds]
 
 
 def table_of(rows: list[Row]) -> Table:
