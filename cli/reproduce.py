@@ -47,7 +47,7 @@ def reproduce(
         typer.Option(
             help="kaspar2023: two wheels, one wheel, slip, white, exact map, map nodes 0.2 m, "
             "allan (sensors at rest); default all. matching: plain (the default), slow or gyro. "
-            "day: no map, map; default both. melenovsky2023: work, model (and the work's estimator), "
+            "day: no map, map; default both. melenovsky2023: work, model (with the work's own), "
             "mountings, reference, cross-level, body; default all. May be given several times.",
         ),
     ] = None,

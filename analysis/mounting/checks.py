@@ -84,16 +84,16 @@ def ride_trouble(drive: Drive, found: Coarse) -> str:
         return "the vehicle does not move: standing tells two angles and not the third; drive"
     if not np.all(np.isfinite(found.C_vb)):
         return "the vehicle moves too little; drive a minute with halts and curves"
-    if found.handed < -0.5:
-        return (
-            "the case's axes are left-handed: braking and curves say opposite sides; two axes are "
-            "swapped, or one is reversed"
-        )
     if np.isfinite(found.rate_size) and abs(found.rate_size - 1) > RATE_OFF:
         return (
             f"the gyroscopes read {found.rate_size:.2f} times the turns of the course about the "
             "axis that the accelerometers call up: their axes are not those of the accelerometers, "
             "one is reversed, swapped or dead"
+        )
+    if found.handed < -0.5:
+        return (
+            "the case's axes are left-handed: braking and curves say opposite sides; two axes are "
+            "swapped, or one is reversed"
         )
     if abs(found.size - 1) > SIZE_OFF:
         return (

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, uniform_filter1d
 
-from tramstream.analysis.mounting.drive import Array, Drive, Flags
+from tramstream.analysis.mounting.drive import NODE_S, Array, Drive, Flags
 from tramstream.analysis.mounting.states import Point
 from tramstream.attitude import C_vl
 
@@ -172,8 +172,10 @@ def _directions(kin: Kinematics, force: Array, turning: Array) -> tuple[Array, f
         a, c = a - a.mean(), c - c.mean()
         weight[number] = np.sum(a**2 + c**2) + 1e-9
         sums[number] = [[np.sum(a * f1), np.sum(a * f2)], [np.sum(c * f2), -np.sum(c * f1)]]
-        left = np.mean(f1**2 + f2**2) / 2
-        scatter[number] = np.sqrt(left * weight[number] * 2 * AVERAGE_S * 10)
+        said = sums[number].sum(axis=0)
+        unsaid = np.sum(f1**2 + f2**2) - float(said @ said) / weight[number]
+        left = max(float(unsaid), 0.0) / (2 * len(a))
+        scatter[number] = np.sqrt(left * weight[number] * 2 * AVERAGE_S / NODE_S) + 1e-9
     along = sums.sum(axis=1)
     scaled = along / weight[:, None] ** 0.5
     projected = along @ np.linalg.eigh(scaled.T @ scaled)[1][:, 1]

@@ -125,6 +125,10 @@ class Model(NamedTuple):
     drive: Drive
     noise: Noise
     arms: Arms
+    force_l: Array
+    """(n, 3): specific force in `l` from each node to the next, as the trajectory has it. What an
+    error of attitude does to velocity is told by this and not by the reading: noise of a reading
+    would count as motion, and motion is what tells yaw."""
     limit: float
     """Deviations beyond which fixes and wheels count as Huber says; 0: all count alike."""
 
@@ -148,7 +152,8 @@ class Step(NamedTuple):
 
 
 @compiled
-def _step(k: int, drive: Drive, point: Point, noise: Noise) -> Step:
+def _step(k: int, model: Model, point: Point) -> Step:
+    drive, noise = model.drive, model.noise
     dt = drive.dt_s
     A, B, G = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     qv, qa = np.zeros((3, 3)), np.zeros((3, 3))
@@ -157,7 +162,7 @@ def _step(k: int, drive: Drive, point: Point, noise: Noise) -> Step:
     if not still:
         omega = drive.inertial.omega_b[k] - point.gyro_bias[k]
         C = _product(point.C_lb[k], rotation(omega * (dt / 2)))
-        f = _times(C, drive.inertial.f_b[k] - point.accel_bias[k]) * dt
+        f = model.force_l[k] * dt
         A[0, 1], A[0, 2], A[1, 2] = f[2], -f[1], f[0]
         A[1, 0], A[2, 0], A[2, 1] = -f[2], f[1], -f[0]
         for i in range(3):
@@ -236,7 +241,9 @@ def _rows(P: Array, step: Step, dt: float) -> None:
 def _predict(state: State, step: Step, noise: Noise, dt: float, drift: Array) -> None:
     P = state.P
     _rows(P, step, dt)
-    _rows(P.T, step, dt)
+    across = np.ascontiguousarray(P.T)
+    _rows(across, step, dt)
+    P[:] = across
     _rows(state.x.reshape(SIZE, 1), step, dt)
     for i in range(SIZE):
         state.x[i] += drift[i]
@@ -424,7 +431,7 @@ def forward(model: Model, point: Point, state: State, log: Log) -> None:
             _fix(fix, model, point, state, log)
             fix += 1
         if k < last:
-            step = _step(k, drive, point, noise)
+            step = _step(k, model, point)
             _drift(k, drive, point, step, drift)
             _predict(state, step, noise, drive.dt_s, drift)
 
@@ -432,11 +439,11 @@ def forward(model: Model, point: Point, state: State, log: Log) -> None:
 @compiled
 def backward(model: Model, point: Point, log: Log, used: int) -> Array:
     """Smooth the errors of a trajectory; (n, SIZE)."""
-    drive, noise = model.drive, model.noise
+    drive = model.drive
     count = len(drive.standing)
     smoothed = np.empty((count, SIZE))
     costate = np.zeros(SIZE)
-    at, dt = used, drive.dt_s
+    at = used
     for k in range(count - 1, -1, -1):
         while at > 0 and log.node[at - 1] == k:
             at -= 1
@@ -451,8 +458,7 @@ def backward(model: Model, point: Point, log: Log, used: int) -> Array:
                 total -= log.P[k, i, j] * costate[j]
             smoothed[k, i] = total
         if k > 0:
-            step = _step(k - 1, drive, point, noise)
-            _transposed(costate, step, dt)
+            _transposed(costate, _step(k - 1, model, point), drive.dt_s)
     return smoothed
 
 

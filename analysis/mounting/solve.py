@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from tramstream.analysis.mounting import kernels
@@ -43,6 +44,10 @@ ROBUST_FROM = 3
 HUBER = 4.0
 ADAPTED = (3, 4, 5)
 """Passes after which the constraints' deviations are set by their innovations."""
+FORCE_STD_MPS2 = 0.1
+"""Noise that the force may have that tells what an error of attitude does."""
+LONGEST_MEAN_S = 3.0
+"""Longest mean for that: a tram changes its acceleration within two seconds."""
 _KIND_OF = {kernels.SIDE: "side_mps", kernels.UP: "up_mps"}
 
 
@@ -93,7 +98,7 @@ def solve(drive: Drive, start: Point, known: Known) -> Solution:
     P, used, number = np.zeros((SIZE, SIZE)), 0, 0
     for number in range(1, MOST_PASSES + 1):
         limit = HUBER if number >= ROBUST_FROM else 0.0
-        model = Model(drive, noise, known.arms, limit)
+        model = Model(drive, noise, known.arms, force_of(drive, point, noise), limit)
         state = beginning(point, known.prior, noise)
         kernels.forward(model, point, state, log)
         P, used = state.P, int(state.used[0])
@@ -115,12 +120,32 @@ def solve(drive: Drive, start: Point, known: Known) -> Solution:
     )
 
 
-def information(drive: Drive, point: Point, known: Known, log: Log | None = None) -> Array:
-    """Covariance of the mounting if the model is linearised at `point`: the bound at the truth."""
+def information(
+    drive: Drive, point: Point, known: Known, log: Log | None = None, exact: bool = False
+) -> Array:
+    """Covariance of the mounting if the model is linearised at `point`.
+
+    It is the bound where that is the truth, and `exact`.
+    """
     log = log if log is not None else room_for(drive)
     state = beginning(point, known.prior, known.noise)
-    kernels.forward(Model(drive, known.noise, known.arms, 0.0), point, state, log)
+    force_l = force_of(drive, point, known.noise, exact)
+    kernels.forward(Model(drive, known.noise, known.arms, force_l, 0.0), point, state, log)
     return state.P[MOUNTING : MOUNTING + 3, MOUNTING : MOUNTING + 3].copy()
+
+
+def force_of(drive: Drive, point: Point, noise: Noise, exact: bool = False) -> Array:
+    """Specific force in `l` that a trajectory has, averaged as far as its noise wants.
+
+    A smoothed trajectory still has what the readings' noise did to it within a second.
+    """
+    gravity = drive.gravity_mps2 * drive.up_l
+    gained = np.diff(point.vel_l, axis=0, append=point.vel_l[-1:]) / drive.dt_s
+    wanted_s = min(float(np.mean(noise.accel**2)) / FORCE_STD_MPS2**2, LONGEST_MEAN_S)
+    nodes = round(wanted_s / drive.dt_s)
+    if exact or nodes < 2:
+        return np.asarray(gained + gravity)
+    return np.asarray(uniform_filter1d(gained, nodes, axis=0, mode="nearest") + gravity)
 
 
 def beginning(point: Point, prior: Prior, noise: Noise) -> State:

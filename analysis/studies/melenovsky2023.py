@@ -191,7 +191,7 @@ def _one(case: Case, drawn: Drawn, duration_s: float, of: World, vehicle: Vehicl
         last_rad=off_rad(solution.C_vb, truth.C_vb),
         C_vb=solution.C_vb,
         covariance=solution.covariance,
-        bound=information(drive, truth, judged, solution.log),
+        bound=information(drive, truth, judged, solution.log, exact=True),
         known_motion=known_motion_bound(of, end, known),
         settled=solution.settled,
         passes=solution.passes,
