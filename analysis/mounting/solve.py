@@ -92,7 +92,7 @@ def room_for(drive: Drive) -> Log:
 
 def solve(drive: Drive, start: Point, known: Known) -> Solution:
     """Search the most likely mounting from a trajectory that is good to some degrees."""
-    log, point, noise = room_for(drive), start, known.noise
+    log, point, noise = room_for(drive), _packed(start), known.noise
     history = []
     settled = False
     P, used, number = np.zeros((SIZE, SIZE)), 0, 0
@@ -128,6 +128,7 @@ def information(
     It is the bound where that is the truth, and `exact`.
     """
     log = log if log is not None else room_for(drive)
+    point = _packed(point)
     state = beginning(point, known.prior, known.noise)
     force_l = force_of(drive, point, known.noise, exact)
     kernels.forward(Model(drive, known.noise, known.arms, force_l, 0.0), point, state, log)
@@ -148,6 +149,11 @@ def force_of(drive: Drive, point: Point, noise: Noise, exact: bool = False) -> A
     return np.asarray(uniform_filter1d(gained, nodes, axis=0, mode="nearest") + gravity)
 
 
+def _packed(point: Point) -> Point:
+    """Rows behind each other in memory: a kernel is compiled for each layout."""
+    return Point(*(np.ascontiguousarray(each) for each in point))
+
+
 def beginning(point: Point, prior: Prior, noise: Noise) -> State:
     """Errors of a trajectory at the first node before anything is measured."""
     x = np.zeros(SIZE)
@@ -163,16 +169,18 @@ def moved(point: Point, errors: Array) -> Point:
     """The trajectory with its errors taken away."""
     turn = Rotation.from_rotvec(errors[:, ATTITUDE : ATTITUDE + 3]).as_matrix()
     mounting = Rotation.from_rotvec(errors[-1, MOUNTING : MOUNTING + 3]).as_matrix()
-    return Point(
-        p_l=point.p_l + errors[:, POSITION : POSITION + 3],
-        vel_l=point.vel_l + errors[:, VELOCITY : VELOCITY + 3],
-        C_lb=turn @ point.C_lb,
-        accel_bias=point.accel_bias + errors[:, ACCEL_BIAS : ACCEL_BIAS + 3],
-        gyro_bias=point.gyro_bias + errors[:, GYRO_BIAS : GYRO_BIAS + 3],
-        fix_error=point.fix_error + errors[:, FIX_ERROR : FIX_ERROR + 3],
-        cross_level=point.cross_level + errors[:, CROSS_LEVEL],
-        C_vb=mounting @ point.C_vb,
-        constants=point.constants + errors[-1, WHEEL_SCALE : WHEEL_SCALE + 3],
+    return _packed(
+        Point(
+            p_l=point.p_l + errors[:, POSITION : POSITION + 3],
+            vel_l=point.vel_l + errors[:, VELOCITY : VELOCITY + 3],
+            C_lb=turn @ point.C_lb,
+            accel_bias=point.accel_bias + errors[:, ACCEL_BIAS : ACCEL_BIAS + 3],
+            gyro_bias=point.gyro_bias + errors[:, GYRO_BIAS : GYRO_BIAS + 3],
+            fix_error=point.fix_error + errors[:, FIX_ERROR : FIX_ERROR + 3],
+            cross_level=point.cross_level + errors[:, CROSS_LEVEL],
+            C_vb=mounting @ point.C_vb,
+            constants=point.constants + errors[-1, WHEEL_SCALE : WHEEL_SCALE + 3],
+        )
     )
 
 
