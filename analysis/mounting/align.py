@@ -104,7 +104,7 @@ def align_ride(name: str, drive: Drive, vehicle: Vehicle, settings: Settings) ->
     solution = solve(drive, trajectory(drive, found), known)
     trouble = _misfit(solution)
     without = known._replace(noise=solution.noise._replace(cross_level_rad=1e-7))
-    told = np.diag(information(drive, solution.point, without, solution.log))
+    told = np.diag(information(solution.drive, solution.point, without, solution.log))
     upright = np.sqrt(np.maximum(np.diag(solution.covariance) - told, 0.0))
     said = theses(drive, found, solution)
     return Ride(name, drive, known, found, solution, trouble, None, said, upright, motion)

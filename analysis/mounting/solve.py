@@ -6,6 +6,7 @@ backwards. The covariance of the mounting is the filter's at the last node: it i
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +71,9 @@ class Solution(NamedTuple):
     """(3, 3), of a turn about the vehicle's axes, rad²."""
     point: Point
     noise: Noise
-    """With the constraints' deviations as they were found."""
+    """With deviations as they were found."""
+    drive: Drive
+    """Likewise."""
     log: Log
     used: int
     passes: int
@@ -92,12 +95,14 @@ def room_for(drive: Drive) -> Log:
 
 def solve(drive: Drive, start: Point, known: Known) -> Solution:
     """Search the most likely mounting from a trajectory that is good to some degrees."""
-    log, point, noise = room_for(drive), _packed(start), known.noise
+    log, point = room_for(drive), _packed(start)
+    least = now = Adapted(known.noise, drive)
     history = []
     settled = False
     P, used, number = np.zeros((SIZE, SIZE)), 0, 0
     for number in range(1, MOST_PASSES + 1):
         limit = HUBER if number >= ROBUST_FROM else 0.0
+        drive, noise = now.drive, now.noise
         model = Model(drive, noise, known.arms, force_of(drive, point, noise), limit)
         state = beginning(point, known.prior, noise)
         kernels.forward(model, point, state, log)
@@ -110,13 +115,24 @@ def solve(drive: Drive, start: Point, known: Known) -> Solution:
         step = float(np.linalg.norm(state.x[MOUNTING : MOUNTING + 3]))
         adapting = known.adapt and number <= max(ADAPTED)
         if adapting and number in ADAPTED:
-            noise = adapted(noise, known.noise, log, used)
+            now = adapted(now, least, log, used)
+            if number == max(ADAPTED):
+                now = now._replace(noise=lasting(now.noise, log, used))
         if not adapting and number > ROBUST_FROM and step < SETTLED_RAD:
             settled = True
             break
     covariance = P[MOUNTING : MOUNTING + 3, MOUNTING : MOUNTING + 3]
     return Solution(
-        point.C_vb, covariance, point, noise, log, used, number, settled, np.array(history)
+        point.C_vb,
+        covariance,
+        point,
+        now.noise,
+        now.drive,
+        log,
+        used,
+        number,
+        settled,
+        np.array(history),
     )
 
 
@@ -184,23 +200,79 @@ def moved(point: Point, errors: Array) -> Point:
     )
 
 
-def adapted(noise: Noise, least: Noise, log: Log, used: int) -> Noise:
-    """Deviations of the constraints for which their innovations are as large as expected.
+class Adapted(NamedTuple):
+    """Deviations as a ride's innovations have them."""
 
-    The median of the squares is asked: it knows no outliers. None falls below what is `least`.
+    noise: Noise
+    drive: Drive
+
+
+def adapted(now: Adapted, least: Adapted, log: Log, used: int) -> Adapted:
+    """Deviations for which innovations are as large as expected, by the median of their squares.
+
+    The median knows no outliers. No deviation falls below what was stated (`least`).
     """
-    found = noise
+    noise, drive = now
+    for kind, name in _KIND_OF.items():
+        R = _fitting(log, used, kind, getattr(noise, name) ** 2)
+        noise = noise._replace(**{name: math.sqrt(max(R, getattr(least.noise, name) ** 2))})
+    R = _fitting(log, used, kernels.WHEEL, drive.wheel_std_mps**2)
+    wheel = math.sqrt(max(R, least.drive.wheel_std_mps**2))
+    fixes, stated = drive.fixes, least.drive.fixes
+    place = math.sqrt(max(_ratio(log, used, kernels.FIX_PLACE), 0.0))
+    speed = math.sqrt(max(_ratio(log, used, kernels.FIX_VELOCITY), 0.0))
+    shared = np.maximum(noise.fix_error_m * place, least.noise.fix_error_m)
+    fixes = fixes._replace(
+        p_std_m=np.maximum(fixes.p_std_m * place, stated.p_std_m),
+        vel_std_mps=np.maximum(fixes.vel_std_mps * speed, stated.vel_std_mps),
+    )
+    return Adapted(
+        noise._replace(fix_error_m=shared), drive._replace(fixes=fixes, wheel_std_mps=wheel)
+    )
+
+
+def lasting(noise: Noise, log: Log, used: int) -> Noise:
+    """The constraints' deviations, larger for errors that last: a body nods for a second.
+
+    White noise of the same density at low frequencies stands for them.
+    """
     for kind, name in _KIND_OF.items():
         rows = np.flatnonzero(log.kind[:used] == kind)
-        if len(rows) < 100:
+        if len(rows) < FEWEST:
             continue
-        R = getattr(noise, name) ** 2
-        ratio = np.median(log.innovation[rows] ** 2 / log.variance[rows]) / _MEDIAN_CHI2
-        spread = float(np.mean(np.abs(log.variance[rows])))
-        R = max(R + (ratio - 1) * spread, getattr(least, name) ** 2)
-        found = found._replace(**{name: float(np.sqrt(R))})
+        y = log.innovation[rows] / np.sqrt(np.abs(log.variance[rows]))
+        y = np.clip(y, -HUBER, HUBER)
+        # The density at low frequencies: that of white innovations as large as expected is 1.
+        sums = [float(np.mean(y[lag:] * y[:-lag])) for lag in range(1, LASTING_NODES + 1)]
+        longer = max(float(np.mean(y * y)) + 2.0 * sum(sums), 1.0)
+        noise = noise._replace(**{name: getattr(noise, name) * math.sqrt(longer)})
+    return noise
+
+
+def _ratio(log: Log, used: int, kind: int) -> float:
+    """Squares of innovations over what is expected; 1 where there are few."""
+    rows = np.flatnonzero(log.kind[:used] == kind)
+    if len(rows) < FEWEST:
+        return 1.0
+    return float(np.median(_squares(log, rows)) / _MEDIAN_CHI2)
+
+
+def _fitting(log: Log, used: int, kind: int, R: float) -> float:
+    """Variance of a measurement that makes its innovations as large as expected."""
+    rows = np.flatnonzero(log.kind[:used] == kind)
+    if len(rows) < FEWEST:
+        return R
+    return R + (_ratio(log, used, kind) - 1) * float(np.median(np.abs(log.variance[rows])))
+
+
+def _squares(log: Log, rows: NDArray[np.int64]) -> Array:
+    found: Array = log.innovation[rows] ** 2 / np.abs(log.variance[rows])
     return found
 
 
+LASTING_NODES = 20
+"""Two seconds: springs of 1 Hz have swung out."""
+FEWEST = 100
+"""Innovations that tell a deviation."""
 _MEDIAN_CHI2 = 0.4549
 """Median of χ² with one degree of freedom."""

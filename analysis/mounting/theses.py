@@ -39,6 +39,8 @@ STAND_DEG = 3.0
 """How far a stand may be from level: stops on 5 % of grade are few."""
 SLOPE = 0.15
 """How far a slope may be from 1: springs nod and lean by a twentieth."""
+LEAST_CURVE = 0.5
+"""What cant leaves of a curve's force, at least."""
 ACROSS = 0.1
 """Of what braking presses to the side: six degrees of yaw."""
 ABOUT = 0.1
@@ -79,7 +81,7 @@ def theses(drive: Drive, found: Coarse, solution: Solution) -> list[Thesis]:
         ),
         Thesis(
             "a curve presses to its outside, v·ω_z", _if(told[1], pressed[1, 1]),
-            1 - SLOPE, 1 + SLOPE, "",
+            LEAST_CURVE, 1 + SLOPE, "",
         ),
         Thesis("a curve turns about the up axis alone", about, 0.0, ABOUT, ""),
     ]  # fmt: skip

@@ -174,7 +174,9 @@ def _one(case: Case, drawn: Drawn, duration_s: float, of: World, vehicle: Vehicl
     known = known_of(vehicle, drive, Settings(cross_level_deg=cross))
     found = coarse(drive)
     solution = solve(drive, trajectory(drive, found), known)
-    judged = known._replace(noise=solution.noise)
+    judged, stated = known, drive
+    if case.kind == "body":  # what its springs do to the constraints was found
+        judged, stated = known._replace(noise=solution.noise), solution.drive
     nothing = np.full(3, np.nan)
     first, filtered = nothing, nothing
     if case.kind == "model":
@@ -191,7 +193,7 @@ def _one(case: Case, drawn: Drawn, duration_s: float, of: World, vehicle: Vehicl
         last_rad=off_rad(solution.C_vb, truth.C_vb),
         C_vb=solution.C_vb,
         covariance=solution.covariance,
-        bound=information(drive, truth, judged, solution.log, exact=True),
+        bound=information(stated, truth, judged, solution.log, exact=True),
         known_motion=known_motion_bound(of, end, known),
         settled=solution.settled,
         passes=solution.passes,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
-import msgspec
 import numpy as np
 import pytest
+from mounted import drawn, ride
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -19,14 +18,10 @@ from tramstream.analysis.mounting.known import Settings, known_of, white_noise
 from tramstream.analysis.mounting.solve import moved, solve
 from tramstream.analysis.mounting.states import MOUNTING, SIZE
 from tramstream.analysis.mounting.theses import theses
-from tramstream.analysis.studies.mounting_rides import Drawn, World, draw, off_rad, world
+from tramstream.analysis.studies.mounting_rides import off_rad
 from tramstream.attitude import C_vl
-from tramstream.config import Vehicle
-from tramstream.simulation import scenario
-from tramstream.simulation.vehicle import configuration
 
 Array = NDArray[np.float64]
-RIDE_S = 240.0
 EXACT = Settings(cross_level_deg=0.0)
 TURNS = [
     C_vl(*np.radians([30.0, 60.0, 90.0])),
@@ -34,27 +29,6 @@ TURNS = [
     C_vl(*np.radians([170.0, -90.0, 10.0])),
     C_vl(*np.radians([180.0, -6.8, 185.0])),
 ]
-
-
-@lru_cache(maxsize=1)
-def ride() -> tuple[World, Vehicle]:
-    """Four minutes with the sensors of `tram` at ten nodes a second."""
-    chosen = scenario.load("melenovsky2023")
-    errors = scenario.load("tram").imu
-    assert errors is not None
-    quiet = msgspec.structs.replace(
-        errors.errors, gyro_scale=(0.0,) * 3, accel_scale=(0.0,) * 3, gyro_cross_axis=0.0,
-        accel_cross_axis=0.0,
-    )  # fmt: skip
-    chosen = msgspec.structs.replace(chosen, imu=msgspec.structs.replace(errors, errors=quiet))
-    vehicle = configuration(chosen)
-    assert vehicle.imu is not None
-    imu = msgspec.structs.replace(vehicle.imu, lever_arm_m=(0.0, 0.0, 0.0))
-    return world(chosen, RIDE_S), msgspec.structs.replace(vehicle, imu=imu)
-
-
-def drawn(C_bv: Array, seed: int = 1) -> Drawn:
-    return draw(ride()[0], C_bv, np.random.default_rng(seed))
 
 
 def told(drive: Drive) -> str:

@@ -1,0 +1,118 @@
+"""`tramstream align`: the mounting out of a record, what it writes, and when it gives no figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mounted import TURN, drawn, ride, write_record
+from numpy.typing import NDArray
+from typer.testing import CliRunner, Result
+
+from tramstream import mounting
+from tramstream.analysis.mounting.drive import Inertial
+from tramstream.analysis.studies.mounting_rides import off_rad
+from tramstream.cli.main import make_app
+from tramstream.config_file import load
+from tramstream.errors import CheckFailedError, ConfigError
+
+Array = NDArray[np.float64]
+
+
+def align(*arguments: object) -> Result:
+    """Run the verb in this process."""
+    return CliRunner().invoke(make_app("align"), ["align", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ride") / "ride.mcap"
+    write_record(path, drawn().drive)
+    return path
+
+
+def verdict(path: Path) -> str:
+    """What is said instead of figures; nothing looks like one."""
+    result = align(path, "--json")
+    assert isinstance(result.exception, CheckFailedError)
+    assert result.exception.exit_status == 1
+    told: dict[str, Any] = json.loads(result.stdout)
+    assert told["verdict"]
+    for name in ("mounting_q_bv", "mounting_deg", "mounting_std_deg"):
+        assert told[name] is None
+    assert all(each["C_bv"] is None and each["std_deg"] is None for each in told["rides"])
+    return str(told["verdict"])
+
+
+def test_mounting_of_a_record_is_found_and_the_vehicle_takes_it(
+    record: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "tram.calibration.toml"
+    result = align(record, "-o", out, "--json")
+    assert result.exception is None, result.exception
+    told = json.loads(result.stdout)
+    C_bv = np.array(mounting.matrix_of(tuple(told["mounting_q_bv"])))
+    off = np.degrees(off_rad(C_bv.T, TURN.T))
+    assert np.all(np.abs(off) < 4 * np.array(told["mounting_std_deg"]))
+    assert max(told["mounting_std_deg"]) < 0.5
+    assert told["cross_level_part_deg"][0] > 0.02  # upright is what straight track says
+    assert [each["holds"] for each in told["rides"][0]["theses"]] == [True] * 5
+    config = tmp_path / "tram.toml"
+    config.write_text(
+        f'vehicle = "simulated"\ncalibration = "{out.name}"\n[imu]\ndevice = "/dev/null"\n'
+    )
+    imu = load(config).imu
+    assert imu is not None
+    assert imu.mounting_q_bv == pytest.approx(told["mounting_q_bv"])
+    assert imu.mounting_std_deg == pytest.approx(tuple(told["mounting_std_deg"]), abs=1e-4)
+    again = align(record, "-o", out)
+    assert isinstance(again.exception, ConfigError)
+    assert "--overwrite" in str(again.exception)
+
+
+def test_table_names_axes_deviations_and_theses(record: Path) -> None:
+    printed = align(record).stdout
+    for text in ("roll", "pitch", "yaw", "mounting_q_bv", "cross-level", "holds", "departures"):
+        assert text in printed
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("dead", "gyro z reads 0 throughout: it is dead"),
+        ("stuck", "accel x is stuck from 1"),
+        ("clipped", "accel z is clipped"),
+    ],
+)
+def test_axis_that_is_no_sensor_gets_no_figure(tmp_path: Path, what: str, said: str) -> None:
+    f_b, omega_b = (each.copy() for each in drawn().drive.inertial)
+    if what == "dead":
+        omega_b[:, 2] = 0.0
+    elif what == "stuck":
+        f_b[1200:, 0] = f_b[1200, 0]
+    else:
+        limit = float(np.percentile(f_b[:, 2], 90))
+        f_b[:, 2] = np.minimum(f_b[:, 2], limit)
+    path = tmp_path / f"{what}.mcap"
+    write_record(path, drawn().drive._replace(inertial=Inertial(f_b, omega_b)))
+    assert said in verdict(path)
+
+
+def test_record_without_fixes_gets_no_figure(tmp_path: Path) -> None:
+    path = tmp_path / "blind.mcap"
+    write_record(path, drawn().drive, fixes=False)
+    assert "no fixes" in verdict(path)
+
+
+def test_two_records_are_put_together(record: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    write_record(other, drawn(seed=2).drive)
+    one = json.loads(align(record, "--json").stdout)
+    both = json.loads(align(record, other, "--json").stdout)
+    assert both["chance"] > 1e-3
+    shares = np.array(both["mounting_std_deg"]) / np.array(one["mounting_std_deg"])
+    assert shares == pytest.approx([0.71] * 3, abs=0.1)
+    assert ride()[1].vehicle == "simulated"
