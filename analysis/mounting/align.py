@@ -13,8 +13,8 @@ from tramstream.analysis.mounting.checks import Moved
 from tramstream.analysis.mounting.coarse import Coarse, coarse, trajectory
 from tramstream.analysis.mounting.combine import One, Together, together
 from tramstream.analysis.mounting.drive import Array, Drive
-from tramstream.analysis.mounting.kernels import ROLL
 from tramstream.analysis.mounting.known import Settings, known_of
+from tramstream.analysis.mounting.measurements import ROLL
 from tramstream.analysis.mounting.solve import Known, Solution, information, solve
 from tramstream.analysis.mounting.theses import Thesis, theses
 from tramstream.config import Vehicle

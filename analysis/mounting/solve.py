@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from tramstream.analysis.mounting import kernels
+from tramstream.analysis.mounting import kernels, measurements
 from tramstream.analysis.mounting.drive import Drive
-from tramstream.analysis.mounting.kernels import Log, Model, State
+from tramstream.analysis.mounting.passes import Log, Model, State
 from tramstream.analysis.mounting.states import (
     ACCEL_BIAS,
     ATTITUDE,
@@ -49,7 +49,7 @@ FORCE_STD_MPS2 = 0.1
 """Noise that the force may have that tells what an error of attitude does."""
 LONGEST_MEAN_S = 3.0
 """Longest mean for that: a tram changes its acceleration within two seconds."""
-_KIND_OF = {kernels.SIDE: "side_mps", kernels.UP: "up_mps"}
+_KIND_OF = {measurements.SIDE: "side_mps", measurements.UP: "up_mps"}
 
 
 class Known(NamedTuple):
@@ -216,11 +216,11 @@ def adapted(now: Adapted, least: Adapted, log: Log, used: int) -> Adapted:
     for kind, name in _KIND_OF.items():
         R = _fitting(log, used, kind, getattr(noise, name) ** 2)
         noise = noise._replace(**{name: math.sqrt(max(R, getattr(least.noise, name) ** 2))})
-    R = _fitting(log, used, kernels.WHEEL, drive.wheel_std_mps**2)
+    R = _fitting(log, used, measurements.WHEEL, drive.wheel_std_mps**2)
     wheel = math.sqrt(max(R, least.drive.wheel_std_mps**2))
     fixes, stated = drive.fixes, least.drive.fixes
-    place = math.sqrt(max(_ratio(log, used, kernels.FIX_PLACE), 0.0))
-    speed = math.sqrt(max(_ratio(log, used, kernels.FIX_VELOCITY), 0.0))
+    place = math.sqrt(max(_ratio(log, used, measurements.FIX_PLACE), 0.0))
+    speed = math.sqrt(max(_ratio(log, used, measurements.FIX_VELOCITY), 0.0))
     shared = np.maximum(noise.fix_error_m * place, least.noise.fix_error_m)
     fixes = fixes._replace(
         p_std_m=np.maximum(fixes.p_std_m * place, stated.p_std_m),
