@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from tramstream.analysis.mounting.coarse import Coarse, coarse, trajectory
 from tramstream.analysis.mounting.combine import One, Together, together
 from tramstream.analysis.mounting.drive import Array, Drive
 from tramstream.analysis.mounting.known import Settings, known_of
-from tramstream.analysis.mounting.measurements import ROLL
 from tramstream.analysis.mounting.solve import Known, Solution, information, solve
 from tramstream.analysis.mounting.theses import Thesis, theses
 from tramstream.config import Vehicle
@@ -107,6 +106,7 @@ def align_ride(name: str, drive: Drive, vehicle: Vehicle, settings: Settings) ->
     told = np.diag(information(solution.drive, solution.point, without, solution.log))
     upright = np.sqrt(np.maximum(np.diag(solution.covariance) - told, 0.0))
     said = theses(drive, found, solution)
+    solution = solution.without_log()
     return Ride(name, drive, known, found, solution, trouble, None, said, upright, motion)
 
 
@@ -216,15 +216,3 @@ def _failed(rides: Sequence[Ride]) -> list[str]:
         for each in ride.theses
         if not each.holds
     ]
-
-
-def innovations(ride: Ride, kind: int = ROLL) -> Array:
-    """Innovations of one kind in deviations, in the order of time."""
-    assert ride.solution is not None
-    log, used = ride.solution.log, ride.solution.used
-    rows = np.flatnonzero(log.kind[:used] == kind)
-    found: Array = log.innovation[rows] / np.sqrt(np.abs(log.variance[rows]))
-    return found
-
-
-Say = Callable[[str], None]

@@ -73,11 +73,18 @@ class Drive(NamedTuple):
     def cut(self, first: int, end: int) -> Drive:
         """The nodes first ≤ k < end, and what was measured between them."""
         inside = (self.fixes.node >= first) & (self.fixes.node < end)
-        fixes = Fixes(*(each[inside] for each in self.fixes))
+        fixes = Fixes(
+            self.fixes.node[inside] - first,
+            self.fixes.late_s[inside],
+            self.fixes.p_l[inside],
+            self.fixes.p_std_m[inside],
+            self.fixes.vel_l[inside],
+            self.fixes.vel_std_mps[inside],
+        )
         return self._replace(
             start_ns=self.start_ns + round(first * self.dt_s * 1e9),
             inertial=Inertial(*(each[first:end] for each in self.inertial)),
-            fixes=fixes._replace(node=fixes.node - first),
+            fixes=fixes,
             wheel_mps=self.wheel_mps[first:end],
             standing=self.standing[first:end],
             up_l=self.up_l[first:end],

@@ -81,6 +81,18 @@ class Solution(NamedTuple):
     history: Array
     """(passes, 3, 3): C_vb after each pass."""
 
+    def without_log(self) -> Solution:
+        """The same without the last pass's covariances, 5 kB a node."""
+        log = self.log
+        return self._replace(
+            used=0,
+            log=Log(
+                log.kind[:0].copy(), log.node[:0].copy(), log.innovation[:0].copy(),
+                log.variance[:0].copy(), log.H[:0].copy(), log.K[:0].copy(), log.x[:0].copy(),
+                log.P[:0].copy(),
+            ),
+        )  # fmt: skip
+
 
 def room_for(drive: Drive) -> Log:
     """Memory of a pass."""
