@@ -10,6 +10,7 @@ import typer
 if TYPE_CHECKING:
     from tramstream.analysis.mounting.align import Answer, Ride
     from tramstream.calibrated import Source
+    from tramstream.config import Vehicle
 
 
 def align(
@@ -66,6 +67,11 @@ def align(
     if out is not None:
         make_place(out, records, overwrite)
     vehicle = load(config) if config is not None else None
+    if model == "melenovsky2023":
+        if out is not None:
+            raise ConfigError("--out: only ours makes a calibration; leave out --model")
+        _work(records, vehicle, json_)
+        return
     began_s = time.perf_counter()
     opened = [(path, open_record(path)) for path in records]
     try:
@@ -93,6 +99,47 @@ def align(
         raise CheckFailedError(f"{', '.join(map(str, records))}: {found.verdict}")
     if damaged or left_out:
         raise DamagedRecordError(damaged or left_out)
+
+
+def _work(records: list[Path], vehicle: Vehicle | None, json_: bool) -> None:
+    """Print what the work's two stages say of each ride."""
+    import json
+
+    import numpy as np
+
+    from tramstream.analysis.melenovsky2023.records import estimates
+    from tramstream.errors import CheckFailedError
+    from tramstream.recorder.reader import open_record
+
+    opened = [(path, open_record(path)) for path in records]
+    try:
+        found = list(estimates(opened, vehicle))
+    finally:
+        for _, record in opened:
+            record.close()
+    told = []
+    for each in found:
+        begun = np.degrees([each.initial.roll_rad, each.initial.pitch_rad, each.initial.yaw_rad])
+        last, std = np.degrees(each.psi_rad), np.degrees(each.std_rad)
+        rows = {"initial_deg": begun, "mounting_deg": last, "euler_std_deg": std}
+        fine = {
+            name: row.round(4).tolist() if np.all(np.isfinite(row)) else None
+            for name, row in rows.items()
+        }
+        told.append({"name": each.name, "trouble": each.trouble, **fine})
+    if json_:
+        print(json.dumps({"model": "melenovsky2023", "rides": told}))
+    else:
+        for one in told:
+            print(
+                f"{one['name']}: {one['trouble']}"
+                if one["trouble"]
+                else f"{one['name']}: initial {one['initial_deg']}, filter {one['mounting_deg']} "
+                f"± {one['euler_std_deg']} (roll, pitch, yaw, °)"
+            )
+    if not found or any(each.trouble for each in found):
+        troubles = "; ".join(dict.fromkeys(each.trouble for each in found if each.trouble))
+        raise CheckFailedError(f"melenovsky2023: {troubles or 'there is no ride'}")
 
 
 def quaternion(found: Answer) -> list[float]:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from tramstream.analysis.melenovsky2023 import iekf
 from tramstream.analysis.melenovsky2023.initial import initial
+from tramstream.analysis.melenovsky2023.records import AFTER_INITIAL_RAD
 from tramstream.analysis.mounting.coarse import coarse, trajectory
 from tramstream.analysis.mounting.combine import One, together
 from tramstream.analysis.mounting.drive import Array
@@ -47,8 +48,6 @@ MOUNTING_S = 600.0
 REFERENCE_S = 4020.0
 TOGETHER = 4
 """Rides that are put together."""
-AFTER_INITIAL_RAD = math.radians(1.0)
-"""How well the work's filter takes a good first estimate to be."""
 PUBLISHED_ARCMIN = {"initial": 138.0, "IEKF": 53.0}
 """The work's single ride, each as one rotation."""
 

@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 from tramstream import mounting
 from tramstream.analysis.mounting.drive import Inertial
 from tramstream.analysis.studies.mounting_rides import off_rad
+from tramstream.attitude import C_vl
 from tramstream.cli.main import make_app
 from tramstream.config_file import load
 from tramstream.errors import CheckFailedError, ConfigError
@@ -105,6 +106,13 @@ def test_record_without_fixes_gets_no_figure(tmp_path: Path) -> None:
     path = tmp_path / "blind.mcap"
     write_record(path, drawn().drive, fixes=False)
     assert "no fixes" in verdict(path)
+
+
+def test_work_s_two_stages_tell_a_record_s_mounting(record: Path) -> None:
+    told = json.loads(align(record, "--model", "melenovsky2023", "--json").stdout)["rides"][0]
+    for name in ("initial_deg", "mounting_deg"):
+        C_bv = C_vl(*np.radians(told[name]))
+        assert np.degrees(np.linalg.norm(off_rad(C_bv.T, TURN.T))) < 6.0
 
 
 def test_two_records_are_put_together(record: Path, tmp_path: Path) -> None:
