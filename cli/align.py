@@ -39,7 +39,8 @@ def align(
     cross_level_m: Annotated[
         float, typer.Option("--cross-level-m", help="Over which way that is one error.", min=1.0)
     ] = 50.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
+    page: Annotated[Path | None, typer.Option(help="Page to write, PAGE.html.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT and PAGE.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Find the mounting of the IMU, any turn, without measuring anything in the vehicle.
@@ -64,12 +65,13 @@ def align(
 
     if model not in ("ours", "melenovsky2023"):
         raise ConfigError(f"--model {model}: there are ours and melenovsky2023")
-    if out is not None:
-        make_place(out, records, overwrite)
+    for each in (out, page):
+        if each is not None:
+            make_place(each, records, overwrite)
     vehicle = load(config) if config is not None else None
     if model == "melenovsky2023":
-        if out is not None:
-            raise ConfigError("--out: only ours makes a calibration; leave out --model")
+        if out is not None or page is not None:
+            raise ConfigError("--out, --page: of ours alone; leave out --model")
         _work(records, vehicle, json_)
         return
     began_s = time.perf_counter()
@@ -88,6 +90,10 @@ def align(
             record.close()
     if out is not None and not found.verdict:
         write(out, fragment(found, sources))
+    if page is not None:
+        from tramstream.analysis.report.align_page import compose
+
+        write(page, compose(found, angle_rows(found)))
     if json_:
         print(json.dumps(plain(found) | {"elapsed_s": time.perf_counter() - began_s}))
     else:
@@ -151,6 +157,24 @@ def quaternion(found: Answer) -> list[float]:
     return [round(sign * each, 9) for each in (w, x, y, z)]
 
 
+def angle_rows(found: Answer) -> list[tuple[str, ...]]:
+    """Lines of a table of the angles; none without an answer."""
+    import numpy as np
+
+    from tramstream.mounting import angles_of
+
+    if found.verdict:
+        return []
+    w, x, y, z = quaternion(found)
+    angles = angles_of((w, x, y, z))
+    std, upright = np.degrees(found.std_rad), np.degrees(found.upright_rad)
+    names = ("roll", "pitch", "yaw")
+    return [
+        (names[k], f"{angles[k]:.3f}", "xyz"[k], f"{std[k]:.3f}", f"{upright[k]:.3f}")
+        for k in range(3)
+    ]
+
+
 def fragment(found: Answer, sources: tuple[Source, ...]) -> str:
     """The text of the calibration."""
     import numpy as np
@@ -211,11 +235,9 @@ def _ride(ride: Ride, told: bool) -> dict[str, Any]:
 def _print(found: Answer) -> None:
     import sys
 
-    import numpy as np
     from rich.console import Console
     from rich.table import Table
 
-    from tramstream.mounting import angles_of
     from tramstream.shown import shown
 
     console = Console(width=None if sys.stdout.isatty() else 120)
@@ -239,20 +261,12 @@ def _print(found: Answer) -> None:
             mark = "holds" if each.holds else "FAILS"
             value = f"{each.value:.3g}{each.unit}" if each.asked else "the ride does not tell"
             line(f"  {mark if each.asked else '-':<6} {each.text}: {value}")
-    w, x, y, z = quaternion(found)
-    angles = angles_of((w, x, y, z))
     table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
     for name in ("", "mounting °", "about", "σ °", "of it cross-level °"):
         table.add_column(name, justify="right", no_wrap=True)
-    for row in range(3):
-        table.add_row(
-            ("roll", "pitch", "yaw")[row],
-            f"{angles[row]:.3f}",
-            "xyz"[row],
-            f"{np.degrees(found.std_rad[row]):.3f}",
-            f"{np.degrees(found.upright_rad[row]):.3f}",
-        )
+    for row in angle_rows(found):
+        table.add_row(*row)
     console.print(table)
-    line(f"[imu] mounting_q_bv = {[w, x, y, z]}")
+    line(f"[imu] mounting_q_bv = {quaternion(found)}")
     for note in found.notes:
         line(note)

@@ -74,6 +74,14 @@ def test_mounting_of_a_record_is_found_and_the_vehicle_takes_it(
     assert "--overwrite" in str(again.exception)
 
 
+def test_page_shows_the_ride_in_vehicle_axes(record: Path, tmp_path: Path) -> None:
+    page = tmp_path / "align.html"
+    assert align(record, "--page", page).exception is None
+    text = page.read_text()
+    for each in ("Mounting of the IMU", "Force in the vehicle", "at a stand the force points up"):
+        assert each in text
+
+
 def test_table_names_axes_deviations_and_theses(record: Path) -> None:
     printed = align(record).stdout
     for text in ("roll", "pitch", "yaw", "mounting_q_bv", "cross-level", "holds", "departures"):
