@@ -10,8 +10,9 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
+PUBLISHED = ("konecny2004", "kaspar2023", "chladek2023", "melenovsky2023")
 WORKS = (
-    *("konecny2004", "kaspar2023", "chladek2023", "melenovsky2023"),
+    *PUBLISHED,
     *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance", "grade"),
 )
 
@@ -119,4 +120,5 @@ def reproduce(
     options = Options(seed, seeds, lines, duration_s or None, json_, data, mappings, kinds)
     options = replace(options, network=net, detours=detours, worlds=tuple(world or ()), hours=hours)
     options = replace(options, frame_hz=frame_hz, rate_hz=rate_hz, pace=pace, capture=capture)
-    import_module(f"tramstream.cli.figures.reproduce_{name}").reproduce(options)
+    module = f"works.{name}" if name in PUBLISHED else f"figures.reproduce_{name}"
+    import_module(f"tramstream.cli.{module}").reproduce(options)

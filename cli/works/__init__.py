@@ -1,0 +1,1 @@
+"""`tramstream reproduce` of the published works: one module a work, its figures beside ours."""
