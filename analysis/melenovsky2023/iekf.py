@@ -9,7 +9,7 @@ is the work's, and why its yaw comes from curves alone in second order.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -128,6 +128,10 @@ def sensitivity(x: Array, gravity: float) -> Array:
 class Iterated(ExtendedKalmanFilter):  # type: ignore[misc]
     """filterpy's filter with the work's iterated update."""
 
+    x: Any
+    P: Any
+    R: Any
+
     def iterate(self, z: Array, rows: NDArray[np.int64], gravity: float) -> int:
         """Update with the rows of a measurement until it settles; how many iterations it took."""
         prior, R = self.x.copy(), self.R[np.ix_(rows, rows)]
@@ -143,7 +147,8 @@ class Iterated(ExtendedKalmanFilter):  # type: ignore[misc]
             new = prior + self.K @ (y - H @ (prior - self.x))
             step = 100 / (number + 99) * (new - self.x)
             self.x = self.x + step
-            moved = np.linalg.norm(step * scale) / max(np.linalg.norm(self.x * scale), 1e-12)
+            size = float(np.linalg.norm(self.x * scale))
+            moved = float(np.linalg.norm(step * scale)) / max(size, 1e-12)
             if moved <= SETTLED:
                 break
         self.y, self.S = y, S

@@ -182,8 +182,8 @@ def _directions(kin: Kinematics, force: Array, turning: Array) -> tuple[Array, f
     if projected.sum() < 0:
         projected = -projected
     sign = np.ones(len(kin.moving))
-    for number in np.flatnonzero(projected < -SURE * scatter):
-        sign[stretches == number + 1] = -1.0
+    for back in np.flatnonzero(projected < -SURE * scatter).tolist():
+        sign[stretches == back + 1] = -1.0
     sizes = np.linalg.norm(sums, axis=2)
     agree = float(np.sum(sums[:, 0] * sums[:, 1]))
     return sign, agree / max(float(np.sum(sizes[:, 0] * sizes[:, 1])), 1e-9)

@@ -212,6 +212,13 @@ def moved(point: Point, errors: Array) -> Point:
     )
 
 
+def _with(noise: Noise, kind: int, std_mps: float) -> Noise:
+    """The same noise with another deviation of a constraint."""
+    if kind == measurements.SIDE:
+        return noise._replace(side_mps=std_mps)
+    return noise._replace(up_mps=std_mps)
+
+
 class Adapted(NamedTuple):
     """Deviations as a ride's innovations have them."""
 
@@ -227,7 +234,7 @@ def adapted(now: Adapted, least: Adapted, log: Log, used: int) -> Adapted:
     noise, drive = now
     for kind, name in _KIND_OF.items():
         R = _fitting(log, used, kind, getattr(noise, name) ** 2)
-        noise = noise._replace(**{name: math.sqrt(max(R, getattr(least.noise, name) ** 2))})
+        noise = _with(noise, kind, math.sqrt(max(R, getattr(least.noise, name) ** 2)))
     R = _fitting(log, used, measurements.WHEEL, drive.wheel_std_mps**2)
     wheel = math.sqrt(max(R, least.drive.wheel_std_mps**2))
     fixes, stated = drive.fixes, least.drive.fixes
@@ -257,7 +264,7 @@ def lasting(noise: Noise, log: Log, used: int) -> Noise:
         # The density at low frequencies: that of white innovations as large as expected is 1.
         sums = [float(np.mean(y[lag:] * y[:-lag])) for lag in range(1, LASTING_NODES + 1)]
         longer = max(float(np.mean(y * y)) + 2.0 * sum(sums), 1.0)
-        noise = noise._replace(**{name: getattr(noise, name) * math.sqrt(longer)})
+        noise = _with(noise, kind, getattr(noise, name) * math.sqrt(longer))
     return noise
 
 

@@ -67,7 +67,7 @@ def world(
     rng = np.random.default_rng(seed)
     ride = Ride(line, scenario.driver, scenario.reverse, rng)
     gravity = float(normal_gravity_mps2(line.level.latitude_rad, line.level.height_m))
-    time_s = np.arange(round(duration_s / NODE_S) + 1) * NODE_S
+    time_s: Array = np.arange(round(duration_s / NODE_S) + 1, dtype=float) * NODE_S
     carriage = None
     if scenario.body is not None:
         carriage = Carriage(scenario.body, ride, gravity, duration_s + 1.0)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 from rich.table import Table
 
 from tramstream.analysis.studies import melenovsky2023 as study
 from tramstream.analysis.studies.melenovsky2023 import Case, Figures, Row
-from tramstream.cli.figures.evaluate_tables import console
 from tramstream.cli.figures.options import Options
 from tramstream.cli.terminal import pool
 from tramstream.cli.terminal.pool import Job
@@ -19,6 +20,8 @@ from tramstream.cli.terminal.session import say
 from tramstream.errors import ConfigError
 
 NAME = study.WORK
+WIDTH = 160
+"""Columns, where the output is no terminal."""
 SEEDS = {"work": 20, "model": 4, "mountings": 100, "reference": 5, "cross-level": 5, "body": 2}
 """Rides of each kind unless the command line says otherwise."""
 
@@ -42,7 +45,7 @@ def reproduce(options: Options) -> None:
     if options.json:
         print(json.dumps(_plain(rows, found) | {"elapsed_s": elapsed_s}))
         return
-    out = console()
+    out = Console(width=None if sys.stdout.isatty() else WIDTH)
     out.print(table_of(rows))
     if several is not None:
         out.print(
@@ -79,7 +82,9 @@ def table_of(rows: list[Row]) -> Table:
     table = Table(box=None, pad_edge=False, collapse_padding=True)
     table.add_column("rides", no_wrap=True)
     columns = ("s", "n", "first ′", "last ′", "bound ′", "/ bound", "motion known ′", "x y z ′")
-    for column in (*columns, "bound x y z ′", "worst", "NEES", "", "initial ′", "IEKF ′"):
+    worked = any(np.isfinite(each.iekf) for each in rows)
+    last = ("initial ′", "IEKF ′") if worked else ()
+    for column in (*columns, "bound x y z ′", "worst", "NEES", "95 %", *last):
         table.add_column(column, justify="right", no_wrap=True)
     for each in rows:
         table.add_row(
@@ -96,8 +101,7 @@ def table_of(rows: list[Row]) -> Table:
             f"{each.worst:.1f}",
             f"{each.nees:.2f}",
             f"{each.nees_low:.2f} to {each.nees_high:.2f}",
-            _number(each.initial),
-            _number(each.iekf),
+            *((_number(each.initial), _number(each.iekf)) if worked else ()),
         )
     return table
 
