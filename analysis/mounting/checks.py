@@ -31,6 +31,8 @@ MOVED_RAD = np.radians(1.5)
 looks like half a degree."""
 MOVED_TIMES = 25.0
 """How much better two mountings must explain the force than one, in times of the scatter."""
+LEAST_SIZE = 0.5
+"""Of a regression's forward, which is 1 where the ride tells it."""
 _EACH_S = 1.0
 _EDGE_S = 40.0
 
@@ -135,8 +137,9 @@ def moved(drive: Drive, found: Coarse) -> Moved | None:
     ridge = np.diag([1e-3, 1e-3, 1e-6])
 
     def fit(S: Array, b: Array, square: Array) -> tuple[Array, Array]:
-        B = np.linalg.solve(S + ridge, b)
-        return B, square - np.sum(B * b, axis=(-2, -1))
+        B: Array = np.asarray(np.linalg.solve(S + ridge, b), dtype=float)
+        left: Array = np.asarray(square - np.sum(B * b, axis=(-2, -1)))
+        return B, left
 
     rows = np.arange(edge, len(A) - edge)
     before, left = fit(AA[rows], Af[rows], ff[rows])
@@ -154,18 +157,17 @@ def moved(drive: Drive, found: Coarse) -> Moved | None:
 
 def _angle(one: Array, other: Array) -> float:
     """Angle between two mountings, each three rows of a regression: the nearest turns."""
-    turns = []
+    turns: list[Array] = []
+    ups: list[Array] = []
     for B in (one, other):
         up = B[2] / np.linalg.norm(B[2])
         x = B[0] + np.cross(B[1], up)  # both say where forward is
         x = x - up * (x @ up)
         size = float(np.linalg.norm(x))
-        if size < 0.5:
-            turns.append((None, up))
-            continue
-        x = x / size
-        turns.append((np.stack([x, np.cross(up, x), up]), up))
-    (C1, up1), (C2, up2) = turns
-    if C1 is None or C2 is None:
-        return float(np.arccos(np.clip(up1 @ up2, -1, 1)))
-    return float(Rotation.from_matrix(C1 @ C2.T).magnitude())
+        ups.append(up)
+        if size >= LEAST_SIZE:
+            x = x / size
+            turns.append(np.stack([x, np.cross(up, x), up]))
+    if len(turns) < len(ups):
+        return float(np.arccos(np.clip(ups[0] @ ups[1], -1, 1)))
+    return float(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude())

@@ -71,12 +71,12 @@ def figures(ride: Ride) -> list[Any]:
     assert solution is not None
     kin, dt = ride.coarse.kinematics, ride.drive.dt_s
     rows = np.arange(0, ride.drive.length, max(ride.drive.length // MOST_POINTS, 1))
-    time_s = rows * dt
+    time_s: Array = rows.astype(float) * dt
     C_vb = solution.C_vb
     f_v = (kin.f_b - solution.point.accel_bias) @ C_vb.T
     omega_v = (kin.omega_b - solution.point.gyro_bias) @ C_vb.T
     off = np.degrees([turn_between(C_vb, each) for each in solution.history])
-    passes = np.arange(1, len(off) + 1)
+    passes: Array = np.arange(1, len(off) + 1, dtype=float)
     sign = np.where(ride.coarse.reverse, -1.0, 1.0)
     moving = rows[kin.moving[rows]]
     braking = sign * kin.acceleration_mps2
