@@ -15,6 +15,8 @@ from tramstream.analysis.melenovsky2023.initial import (
     level,
     without_outliers,
 )
+from tramstream.analysis.studies import melenovsky2023 as study
+from tramstream.analysis.studies.melenovsky2023 import Case
 from tramstream.attitude import C_vl
 
 Array = NDArray[np.float64]
@@ -68,3 +70,24 @@ def test_process_noise_is_the_wiener_model_of_acceleration() -> None:
     assert np.allclose(Q, Q.T)
     assert np.all(np.diag(Q)[iekf.PSI : iekf.PSI + 3] == 0)
     assert Q[iekf.Z_F, iekf.Z_F] == pytest.approx(9e-4**2 * 0.1)
+
+
+@pytest.mark.study
+def test_twenty_seeds_of_the_work_s_ride_are_at_the_bound() -> None:
+    """Ten minutes; `tramstream reproduce melenovsky2023 --kind work` prints the same."""
+    found = [each for seed in range(1, 21) for each in study.study(Case("work", seed))]
+    last = study.overall(found)[-1]
+    assert last.last < 1.2 * last.bound
+    assert last.nees_low < last.nees < last.nees_high
+    together = study.several(found)
+    assert together is not None
+    assert together.rms < 15.0
+
+
+@pytest.mark.study
+def test_hundred_mountings_over_all_turns_are_at_the_bound() -> None:
+    cases = [Case("mountings", seed, (study.MOUNTING_S,)) for seed in range(1, 101)]
+    (row,) = study.overall([each for case in cases for each in study.study(case)])
+    assert row.worst < 4.0
+    assert row.last < 1.3 * row.bound
+    assert row.nees_low < row.nees < row.nees_high

@@ -21,6 +21,7 @@ from tramstream.config_file import load
 from tramstream.errors import CheckFailedError, ConfigError
 
 Array = NDArray[np.float64]
+MAPPING = Path(__file__).resolve().parent.parent.parent / "mappings" / "rtkx.toml"
 
 
 def align(*arguments: object) -> Result:
@@ -132,3 +133,19 @@ def test_two_records_are_put_together(record: Path, tmp_path: Path) -> None:
     shares = np.array(both["mounting_std_deg"]) / np.array(one["mounting_std_deg"])
     assert shares == pytest.approx([0.71] * 3, abs=0.1)
     assert ride()[1].vehicle == "simulated"
+
+
+@pytest.mark.realdata
+def test_rtkx_is_mounted_as_its_authors_say(data_dir: Path, tmp_path: Path) -> None:
+    """Case to a body with axes forward, right, down: 180, −6.79, 185.35°, good to 0.5°."""
+    path = tmp_path / "rtkx.mcap"
+    drive = data_dir / "drives" / "rtkx_first_half"
+    arguments = ["import", "--csv", drive, "--mapping", MAPPING, "-o", path]
+    assert CliRunner().invoke(make_app("import"), list(map(str, arguments))).exit_code == 0
+    road = ("--cross-level-deg", 1, "--cross-level-m", 500)
+    told = json.loads(align(path, *road, "--json").stdout)
+    C_bv = np.array(mounting.matrix_of(tuple(told["mounting_q_bv"])))
+    theirs = C_vl(*np.radians([180.0, -6.79, 185.35])).T @ np.diag([1.0, -1.0, -1.0])
+    off = np.degrees(off_rad(C_bv.T, theirs.T))
+    assert np.all(np.abs(off) < 0.7)
+    assert np.all(np.abs(off) < 3 * np.hypot(told["mounting_std_deg"], 0.25))
