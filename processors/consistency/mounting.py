@@ -121,7 +121,7 @@ class Mounting:
     def restored(self) -> None:
         """Derive the levelling of the memory."""
         if self.memory.up:
-            self._level = _turn_upright(self._C_bv.T @ np.array(self.memory.up))
+            self._level = turn_upright(self._C_bv.T @ np.array(self.memory.up))
         x, y, z = (self._level @ self._C_bv.T)[2].tolist()
         self._vertical = (x, y, z)
 
@@ -227,7 +227,7 @@ class Mounting:
         return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
 
-def _turn_upright(up: Array) -> Array:
+def turn_upright(up: Array) -> Array:
     """The least turn that takes a unit vector to z; half a turn about x where it points down."""
     c = float(up[2])
     if c < -1.0 + 1e-9:
