@@ -7,6 +7,7 @@ at the mean instant of its samples; the mean of a rate, added up, is the angle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from tramstream.estimation.fixes import antenna_l, deviations, place_deg, unusab
 from tramstream.geodesy import LocalLevel
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry, WheelReading
+from tramstream.recorder.identity import identity_of
 from tramstream.recorder.reader import Record, open_record
 from tramstream.recorder.reprocess.run import vehicle_of
 
@@ -85,12 +87,12 @@ class FixColumns:
 class Ride:
     """A record for calibration."""
 
-    path: Path
     vehicle: Vehicle
     name: str
     """Of the vehicle."""
     origin_ns: int
     duration_s: float
+    digest: str
     imu: Inertial
     wheels: tuple[WheelWay, ...]
     fixes: FixColumns
@@ -98,12 +100,12 @@ class Ride:
     left_out: str = ""
 
 
-def read_ride(path: Path, vehicle: Vehicle | None = None) -> Ride:
-    """Read a record, or a folder with the parts of one.
+def read_ride(paths: Path | Sequence[Path], vehicle: Vehicle | None = None) -> Ride:
+    """Read a record: a file, a folder with the parts of one, or the parts.
 
     Parameters
     ----------
-    path : Path
+    paths : Path or sequence of Path
     vehicle : Vehicle, optional
         Configuration; by default that of the record.
 
@@ -114,17 +116,18 @@ def read_ride(path: Path, vehicle: Vehicle | None = None) -> Ride:
     ConfigError
         If there is no configuration.
     """
-    with open_record(path) as record:
-        known = vehicle if vehicle is not None else vehicle_of(record, path)
+    with open_record(paths) as record:
+        first = paths if isinstance(paths, Path) else paths[0]
+        known = vehicle if vehicle is not None else vehicle_of(record, first)
         origin_ns = record.start_ns
         imu = _inertial(record, origin_ns)
         wheels, fixes = _others(record, known, origin_ns)
         return Ride(
-            path=path,
             vehicle=known,
             name=record.vehicle or known.vehicle,
             origin_ns=origin_ns,
             duration_s=(record.end_ns - record.start_ns) / S,
+            digest=identity_of(record),
             imu=imu,
             wheels=wheels,
             fixes=fixes,
