@@ -1,0 +1,270 @@
+"""Has the IMU been moved in its vehicle? Found within seconds, with the instant and the turn.
+
+A case that is turned in the vehicle reads gravity from elsewhere while nothing that it reads of
+turning, and nothing that the wheels read of driving, says why. Of twenty seconds of windows, each
+half a second long, and an instant m among them, all forces are brought into the axes that the case
+had then, by the gyroscopes alone (C_k), and the motion by the wheels is taken off. What is left is
+gravity, one vector; a turn δ of the case at m shows as
+
+    C_k (f_k − a_k x − v_k ω_k y) = g + b (k − m) + [k ≥ m] δ × C_k f_k
+
+with x and y ahead and to the left in the case, and b what the gyroscopes' bias does. δ is found
+by robust least squares for every m as it comes to lie `AFTER` windows back; it is said where
+δᵀ Σ⁻¹ δ is largest and beyond `LIMIT`. About the vertical it shows by braking and curves alone.
+
+A case that is turned by hand while its gyroscopes are on feels the turn like one of the vehicle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from tramstream.attitude import C_bv_of
+from tramstream.config import Imu
+from tramstream.estimation.kalman import Array
+from tramstream.processors.consistency.mounting import GRAVITY_MPS2, STILL_MPS2, WINDOW_S
+from tramstream.processors.consistency.way import Course
+
+BEFORE, AFTER = 24, 12
+"""Windows to either side of the instant that is judged: 12 s and 6 s."""
+COUNT = BEFORE + AFTER + 2
+CONFIRMED = 8
+"""Windows without a better instant, after which it is said."""
+LIMIT = 90.0
+"""Of δᵀ Σ⁻¹ δ. By `reproduce`-like study, docs/calibration.md, *An IMU that was moved*."""
+LEAST_DEG = 0.3
+FLOOR_MPS2 = 0.02
+"""No window is known better: springs, kerbs, what turns about other axes."""
+STOPS_MPS2 = 6.0
+"""A window that differs so much from gravity is a blow."""
+TURN_STD_RAD = 0.5
+"""Beforehand: about the vertical nothing may tell."""
+SMALL_RAD = 0.02
+LARGE = 4
+"""Rounds of Gauss and Newton."""
+PASSES = 3
+CLIP = 2.0
+PAUSE_S = 1.5 * WINDOW_S
+BIAS_SHARE = 0.3
+"""Of a new still window in the bias."""
+BIAS_FLOOR_RADPS = 3e-5
+
+
+class Change(NamedTuple):
+    """The case was turned in the vehicle."""
+
+    time_s: float
+    turn_v: tuple[float, float, float]
+    """Rotation vector about the vehicle's axes, rad."""
+    std_rad: float
+    """Of the tilt."""
+    score: float
+
+    @property
+    def angle_rad(self) -> float:
+        return math.hypot(*self.turn_v)
+
+
+@dataclass
+class MovedMemory:
+    """What a `Moved` remembers."""
+
+    ends_s: list[float] = field(default_factory=list)
+    means: list[list[float]] = field(default_factory=list)
+    """Force and rate in the axes of the case, of each window."""
+    turned: list[list[float]] = field(default_factory=list)
+    """From the axes of the case in each window to those in the first of all, row by row."""
+    bias: list[float] = field(default_factory=list)
+    """Of the gyroscopes, at stands."""
+    bias_s: float = -1e9
+    last_mps2: list[float] = field(default_factory=list)
+    best: list[float] = field(default_factory=list)
+    """Time, turn, deviation and score of the best instant so far."""
+    waited: int = 0
+
+
+class Moved:
+    """Takes windows; says when the case has been turned."""
+
+    def __init__(self, imu: Imu, memory: MovedMemory) -> None:
+        self.memory = memory
+        self._C_bv: Array = C_bv_of(imu)
+        self._walk = imu.gyro_walk_radps2_rthz
+
+    def take(self, end_s: float, mean: list[float], still: bool, path: Course) -> Change | None:
+        """Take a window, and the way of the wheels up to it; gives what has been found."""
+        memory = self.memory
+        if memory.ends_s and not 0.0 < end_s - memory.ends_s[-1] < PAUSE_S:
+            self.forget()
+        self._learn_bias(end_s, mean, still)
+        self._turn_on(mean)
+        memory.ends_s.append(end_s)
+        memory.means.append(mean)
+        # The way is known a little later than the force: the newest window waits.
+        if len(memory.ends_s) < COUNT:
+            return None
+        for kept in (memory.ends_s, memory.means, memory.turned):
+            del kept[:-COUNT]
+        self._judge(path)
+        return self._said()
+
+    def forget(self) -> None:
+        """Begin anew: what comes does not follow."""
+        memory = self.memory
+        memory.ends_s, memory.means, memory.turned = [], [], []
+        memory.best, memory.waited = [], 0
+
+    def _turn_on(self, mean: list[float]) -> None:
+        """Add up what the gyroscopes turn from the middle of a window to that of the next."""
+        memory = self.memory
+        if not memory.means:
+            memory.turned.append(np.eye(3).ravel().tolist())
+            return
+        before = np.array(memory.turned[-1]).reshape(3, 3)
+        rate = 0.5 * (np.array(memory.means[-1][3:]) + np.array(mean[3:])) - self._bias()
+        memory.turned.append((before @ _exponential(rate * WINDOW_S)).ravel().tolist())
+
+    def _bias(self) -> Array:
+        return np.array(self.memory.bias) if self.memory.bias else np.zeros(3)
+
+    def _learn_bias(self, end_s: float, mean: list[float], still: bool) -> None:
+        memory = self.memory
+        near = memory.last_mps2 and math.dist(mean[:3], memory.last_mps2) < STILL_MPS2
+        memory.last_mps2 = mean[:3]
+        if not (still and near):
+            return
+        if end_s - memory.bias_s > 60.0 or not memory.bias:
+            memory.bias = mean[3:]
+        else:
+            memory.bias = [
+                old + BIAS_SHARE * (new - old)
+                for old, new in zip(memory.bias, mean[3:], strict=True)
+            ]
+        memory.bias_s = end_s
+
+    def _judge(self, path: Course) -> None:
+        memory = self.memory
+        ends = np.array(memory.ends_s)
+        edges = np.concatenate([[ends[0] - WINDOW_S], ends[:-1]])
+        v = path.rate(edges, WINDOW_S)
+        if not np.isfinite(v).all():
+            memory.waited += 1
+            return
+        values = np.array(memory.means)[:-1]
+        a, speed = np.diff(v) / WINDOW_S, 0.5 * (v[1:] + v[:-1])
+        turned = np.array(memory.turned)[:-1].reshape(-1, 3, 3)
+        C = turned[BEFORE].T @ turned
+        motion = self._motion(values, a, speed)
+        found = self._turn(values[:, :3], C, motion, float(ends[-1]))
+        memory.waited += 1
+        if found is None:
+            return
+        delta, std, score = found
+        if score > max(LIMIT, memory.best[5] if memory.best else 0.0):
+            at_s = float(ends[BEFORE] - WINDOW_S)
+            memory.best, memory.waited = [at_s, *delta, std, score], 0
+
+    def _said(self) -> Change | None:
+        memory = self.memory
+        if not memory.best or memory.waited < CONFIRMED:
+            return None
+        time_s, x, y, z, std, score = memory.best
+        self.forget()
+        return Change(time_s, (x, y, z), std, score)
+
+    def _motion(self, values: Array, a: Array, speed: Array) -> Array:
+        """What of the forces is the vehicle's motion by its wheels, in the axes of the case."""
+        ahead, left = self._axes(values[:BEFORE, :3])
+        turning = (values[:, 3:] - self._bias()) @ np.cross(ahead, left)
+        made: Array = a[:, None] * ahead + (speed * turning)[:, None] * left
+        return made
+
+    def _turn(
+        self, force: Array, C: Array, motion: Array, now_s: float
+    ) -> tuple[list[float], float, float] | None:
+        """Turn about the vehicle's axes, deviation of its tilt, and score; None without one."""
+        prior = np.zeros(9)
+        bias = self._walk * math.sqrt(min(max(now_s - self.memory.bias_s, 0.0), 600.0))
+        prior[3:6] = (GRAVITY_MPS2 * WINDOW_S * math.hypot(bias, BIAS_FLOOR_RADPS)) ** -2.0
+        prior[6:] = TURN_STD_RAD**-2.0
+        R = np.eye(3)
+        P, spread = np.eye(3), FLOOR_MPS2
+        for _ in range(LARGE):  # a large turn is not linear
+            back = R.T
+            q = np.einsum("kij,kj->ki", C, force)
+            pushed = np.einsum("kij,kj->ki", C, motion)
+            q[BEFORE:] = q[BEFORE:] @ R
+            pushed[BEFORE:] = np.einsum("kij,kj->ki", back @ C[BEFORE:] @ R, motion[BEFORE:])
+            if np.any(np.abs(np.linalg.norm(q - pushed, axis=1) - GRAVITY_MPS2) > STOPS_MPS2):
+                return None
+            x, P, spread = _fitted(q - pushed, q, prior)
+            delta = x[6:]
+            R = R @ _exponential(delta)
+            if float(np.linalg.norm(delta)) < SMALL_RAD:
+                break
+        delta = _vector(R)
+        score = float(delta @ np.linalg.solve(P, delta))
+        if math.degrees(float(np.linalg.norm(delta))) < LEAST_DEG:
+            return None
+        turn = self._C_bv.T @ delta
+        spread_v = self._C_bv.T @ P @ self._C_bv
+        return turn.tolist(), float(np.sqrt(0.5 * (spread_v[0, 0] + spread_v[1, 1]))), score
+
+    def _axes(self, force: Array) -> tuple[Array, Array]:
+        """Ahead and left in the case: as mounted, made level by the mean force."""
+        up = force.mean(axis=0)
+        up /= max(float(np.linalg.norm(up)), 1e-9)
+        ahead = self._C_bv[:, 0] - up * float(up @ self._C_bv[:, 0])
+        ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+        return ahead, np.cross(up, ahead)
+
+
+def _fitted(y: Array, q: Array, prior: Array) -> tuple[Array, Array, float]:
+    """Gravity, its drift and the turn δ by robust least squares; covariance of δ, and spread."""
+    count = len(y)
+    k = np.arange(count) - (BEFORE - 0.5)
+    A = np.zeros((count, 3, 9))
+    A[:, range(3), range(3)] = 1.0
+    A[:, range(3), range(3, 6)] = k[:, None]
+    A[BEFORE:, :, 6:] = -_cross(q[BEFORE:])  # δ × q = −[q]× δ
+    rows, z = A.reshape(-1, 9), y.reshape(-1)
+    weight, spread = np.ones(count), FLOOR_MPS2
+    for _ in range(PASSES):
+        W = rows * np.repeat(weight / spread**2, 3)[:, None]
+        N = rows.T @ W + np.diag(prior)
+        x = np.linalg.solve(N, W.T @ z)
+        off = np.sqrt(((y - A @ x) ** 2).sum(axis=1))
+        spread = max(float(np.median(off)) / 1.538, FLOOR_MPS2)
+        weight = np.minimum(1.0, CLIP * spread / np.maximum(off, 1e-9))
+    return x, np.linalg.inv(N)[6:, 6:], spread
+
+
+def _vector(R: Array) -> Array:
+    """Rotation vector of a turn of less than half a circle."""
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = float(np.linalg.norm(axis))
+    angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
+    return axis * (angle / sine) if sine > 1e-12 else axis
+
+
+def _exponential(turn: Array) -> Array:
+    """Rotation by a vector (Rodrigues)."""
+    angle = math.sqrt(float(turn @ turn))
+    K = _cross(turn[None])[0]
+    if angle < 1e-9:
+        return np.eye(3) + K
+    made: Array = (
+        np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
+    )
+    return made
+
+
+def _cross(v: Array) -> Array:
+    """[v]× of each row."""
+    x, y, z = v.T
+    o = np.zeros(len(v))
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
