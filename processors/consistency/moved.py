@@ -6,13 +6,15 @@ half a second long, and an instant m among them, all forces are brought into the
 had then, by the gyroscopes alone (C_k), and the motion by the wheels is taken off. What is left is
 gravity, one vector; a turn δ of the case at m shows as
 
-    C_k (f_k − a_k x − v_k ω_k y) = g + b (k − m) + [k ≥ m] δ × C_k f_k
+    C_k (f_k − a_k x − v_k ω_k y) = g + b τ_k + [k ≥ m] δ × C_k f_k
 
-with x and y ahead and to the left in the case, and b what the gyroscopes' bias does. δ is found
+with x and y ahead and to the left in the case, and b what the gyroscopes' bias does in the time τ
+that the vehicle moves; at a stand it does not turn, whatever they read. δ is found
 by robust least squares for every m as it comes to lie `AFTER` windows back; it is said where
 δᵀ Σ⁻¹ δ is largest and beyond `LIMIT`. About the vertical it shows by braking and curves alone.
 
-A case that is turned by hand while its gyroscopes are on feels the turn like one of the vehicle.
+A case that is turned by hand, its gyroscopes on, feels the turn like one of the vehicle: that shows
+only where the vehicle stands meanwhile.
 """
 
 from __future__ import annotations
@@ -49,6 +51,10 @@ LARGE = 4
 PASSES = 3
 CLIP = 2.0
 PAUSE_S = 1.5 * WINDOW_S
+STANDING = -1e12
+"""Instead of when a bias was learned."""
+UNLEARNED_RADPS = 0.01
+"""Bias of gyroscopes that have not stood yet."""
 BIAS_SHARE = 0.3
 """Of a new still window in the bias."""
 BIAS_FLOOR_RADPS = 3e-5
@@ -60,13 +66,14 @@ class Change(NamedTuple):
     time_s: float
     turn_v: tuple[float, float, float]
     """Rotation vector about the vehicle's axes, rad."""
-    std_rad: float
-    """Of the tilt."""
+    tilt_std_rad: float
+    yaw_std_rad: float
+    """About the vertical; where nothing tells, `TURN_STD_RAD`."""
     score: float
 
     @property
-    def angle_rad(self) -> float:
-        return math.hypot(*self.turn_v)
+    def tilt_rad(self) -> float:
+        return math.hypot(*self.turn_v[:2])
 
 
 @dataclass
@@ -81,9 +88,11 @@ class MovedMemory:
     bias: list[float] = field(default_factory=list)
     """Of the gyroscopes, at stands."""
     bias_s: float = -1e9
+    biases: list[float] = field(default_factory=list)
+    """When the bias was learned that each window was turned on with; below 0 for one at a stand."""
     last_mps2: list[float] = field(default_factory=list)
     best: list[float] = field(default_factory=list)
-    """Time, turn, deviation and score of the best instant so far."""
+    """Time, turn, deviations and score of the best instant so far."""
     waited: int = 0
 
 
@@ -101,13 +110,13 @@ class Moved:
         if memory.ends_s and not 0.0 < end_s - memory.ends_s[-1] < PAUSE_S:
             self.forget()
         self._learn_bias(end_s, mean, still)
-        self._turn_on(mean)
+        self._turn_on(mean, still)
         memory.ends_s.append(end_s)
         memory.means.append(mean)
         # The way is known a little later than the force: the newest window waits.
         if len(memory.ends_s) < COUNT:
             return None
-        for kept in (memory.ends_s, memory.means, memory.turned):
+        for kept in (memory.ends_s, memory.means, memory.turned, memory.biases):
             del kept[:-COUNT]
         self._judge(path)
         return self._said()
@@ -116,17 +125,20 @@ class Moved:
         """Begin anew: what comes does not follow."""
         memory = self.memory
         memory.ends_s, memory.means, memory.turned = [], [], []
-        memory.best, memory.waited = [], 0
+        memory.biases, memory.best, memory.waited = [], [], 0
 
-    def _turn_on(self, mean: list[float]) -> None:
+    def _turn_on(self, mean: list[float], still: bool) -> None:
         """Add up what the gyroscopes turn from the middle of a window to that of the next."""
         memory = self.memory
+        memory.biases.append(STANDING if still else memory.bias_s)
         if not memory.means:
             memory.turned.append(np.eye(3).ravel().tolist())
-            return
-        before = np.array(memory.turned[-1]).reshape(3, 3)
-        rate = 0.5 * (np.array(memory.means[-1][3:]) + np.array(mean[3:])) - self._bias()
-        memory.turned.append((before @ _exponential(rate * WINDOW_S)).ravel().tolist())
+        elif still:
+            memory.turned.append(memory.turned[-1])
+        else:
+            before = np.array(memory.turned[-1]).reshape(3, 3)
+            rate = 0.5 * (np.array(memory.means[-1][3:]) + np.array(mean[3:])) - self._bias()
+            memory.turned.append((before @ _exponential(rate * WINDOW_S)).ravel().tolist())
 
     def _bias(self) -> Array:
         return np.array(self.memory.bias) if self.memory.bias else np.zeros(3)
@@ -163,18 +175,17 @@ class Moved:
         memory.waited += 1
         if found is None:
             return
-        delta, std, score = found
-        if score > max(LIMIT, memory.best[5] if memory.best else 0.0):
+        if found[-1] > max(LIMIT, memory.best[-1] if memory.best else 0.0):
             at_s = float(ends[BEFORE] - WINDOW_S)
-            memory.best, memory.waited = [at_s, *delta, std, score], 0
+            memory.best, memory.waited = [at_s, *found], 0
 
     def _said(self) -> Change | None:
         memory = self.memory
         if not memory.best or memory.waited < CONFIRMED:
             return None
-        time_s, x, y, z, std, score = memory.best
+        time_s, x, y, z, tilt_std, yaw_std, score = memory.best
         self.forget()
-        return Change(time_s, (x, y, z), std, score)
+        return Change(time_s, (x, y, z), tilt_std, yaw_std, score)
 
     def _motion(self, values: Array, a: Array, speed: Array) -> Array:
         """What of the forces is the vehicle's motion by its wheels, in the axes of the case."""
@@ -183,26 +194,20 @@ class Moved:
         made: Array = a[:, None] * ahead + (speed * turning)[:, None] * left
         return made
 
-    def _turn(
-        self, force: Array, C: Array, motion: Array, now_s: float
-    ) -> tuple[list[float], float, float] | None:
-        """Turn about the vehicle's axes, deviation of its tilt, and score; None without one."""
-        prior = np.zeros(9)
-        bias = self._walk * math.sqrt(min(max(now_s - self.memory.bias_s, 0.0), 600.0))
-        prior[3:6] = (GRAVITY_MPS2 * WINDOW_S * math.hypot(bias, BIAS_FLOOR_RADPS)) ** -2.0
-        prior[6:] = TURN_STD_RAD**-2.0
+    def _turn(self, force: Array, C: Array, motion: Array, now_s: float) -> list[float] | None:
+        """Turn about the vehicle's axes, deviations of tilt and yaw, score; None without one."""
+        drift, prior = self._drift(now_s)
         R = np.eye(3)
-        P, spread = np.eye(3), FLOOR_MPS2
+        P = np.eye(3)
         for _ in range(LARGE):  # a large turn is not linear
-            back = R.T
             q = np.einsum("kij,kj->ki", C, force)
             pushed = np.einsum("kij,kj->ki", C, motion)
             q[BEFORE:] = q[BEFORE:] @ R
-            pushed[BEFORE:] = np.einsum("kij,kj->ki", back @ C[BEFORE:] @ R, motion[BEFORE:])
+            pushed[BEFORE:] = np.einsum("kij,kj->ki", R.T @ C[BEFORE:] @ R, motion[BEFORE:])
             if np.any(np.abs(np.linalg.norm(q - pushed, axis=1) - GRAVITY_MPS2) > STOPS_MPS2):
                 return None
-            x, P, spread = _fitted(q - pushed, q, prior)
-            delta = x[6:]
+            x, P = _fitted(q - pushed, q, drift, prior, _vector(R))
+            delta = x[-3:]
             R = R @ _exponential(delta)
             if float(np.linalg.norm(delta)) < SMALL_RAD:
                 break
@@ -211,8 +216,32 @@ class Moved:
         if math.degrees(float(np.linalg.norm(delta))) < LEAST_DEG:
             return None
         turn = self._C_bv.T @ delta
-        spread_v = self._C_bv.T @ P @ self._C_bv
-        return turn.tolist(), float(np.sqrt(0.5 * (spread_v[0, 0] + spread_v[1, 1]))), score
+        P_v = np.diagonal(self._C_bv.T @ P @ self._C_bv)
+        tilt_std, yaw_std = math.sqrt(0.5 * (P_v[0] + P_v[1])), math.sqrt(P_v[2])
+        return [*turn.tolist(), tilt_std, yaw_std, score]
+
+    def _drift(self, now_s: float) -> tuple[Array, Array]:
+        """Windows in motion so far, by the older bias and by the newer, and what is known of all.
+
+        Returns
+        -------
+        drift : ndarray, shape (n, 2)
+        prior : ndarray, shape (12,)
+            Of gravity, two drifts and the turn: one over the variance.
+        """
+        when = np.array(self.memory.biases[:-1])
+        moving = when > 0.5 * STANDING
+        old = when[moving].min() if moving.any() else STANDING
+        first, second = moving & (when == old), moving & (when != old)
+        drift = np.cumsum(np.stack([first, second], axis=1), axis=0)
+        prior = np.zeros(12)
+        for k, learned_s in enumerate((old, self.memory.bias_s)):
+            age_s = now_s - learned_s
+            std = self._walk * math.sqrt(max(age_s, 1.0)) if age_s < 1e6 else UNLEARNED_RADPS
+            std = math.hypot(min(std, UNLEARNED_RADPS), BIAS_FLOOR_RADPS)
+            prior[3 + 3 * k : 6 + 3 * k] = (GRAVITY_MPS2 * WINDOW_S * std) ** -2.0
+        prior[9:] = TURN_STD_RAD**-2.0
+        return drift - drift[BEFORE], prior
 
     def _axes(self, force: Array) -> tuple[Array, Array]:
         """Ahead and left in the case: as mounted, made level by the mean force."""
@@ -223,24 +252,31 @@ class Moved:
         return ahead, np.cross(up, ahead)
 
 
-def _fitted(y: Array, q: Array, prior: Array) -> tuple[Array, Array, float]:
-    """Gravity, its drift and the turn δ by robust least squares; covariance of δ, and spread."""
+def _fitted(y: Array, q: Array, drift: Array, prior: Array, turned: Array) -> tuple[Array, Array]:
+    """Gravity, its drift and how much further than `turned`, by robust least squares.
+
+    Returns
+    -------
+    x, P : ndarray, shapes (12,) and (3, 3)
+        The turn comes last; P is of it alone.
+    """
     count = len(y)
-    k = np.arange(count) - (BEFORE - 0.5)
-    A = np.zeros((count, 3, 9))
+    A = np.zeros((count, 3, 12))
     A[:, range(3), range(3)] = 1.0
-    A[:, range(3), range(3, 6)] = k[:, None]
-    A[BEFORE:, :, 6:] = -_cross(q[BEFORE:])  # δ × q = −[q]× δ
-    rows, z = A.reshape(-1, 9), y.reshape(-1)
+    A[:, range(3), range(3, 6)] = drift[:, :1]
+    A[:, range(3), range(6, 9)] = drift[:, 1:]
+    A[BEFORE:, :, 9:] = -_cross(q[BEFORE:])  # δ × q = −[q]× δ
+    rows, z = A.reshape(-1, 12), y.reshape(-1)
+    known = prior * np.concatenate([np.zeros(9), turned])
     weight, spread = np.ones(count), FLOOR_MPS2
     for _ in range(PASSES):
         W = rows * np.repeat(weight / spread**2, 3)[:, None]
         N = rows.T @ W + np.diag(prior)
-        x = np.linalg.solve(N, W.T @ z)
+        x = np.linalg.solve(N, W.T @ z - known)
         off = np.sqrt(((y - A @ x) ** 2).sum(axis=1))
         spread = max(float(np.median(off)) / 1.538, FLOOR_MPS2)
         weight = np.minimum(1.0, CLIP * spread / np.maximum(off, 1e-9))
-    return x, np.linalg.inv(N)[6:, 6:], spread
+    return x, np.linalg.inv(N)[9:, 9:]
 
 
 def _vector(R: Array) -> Array:
