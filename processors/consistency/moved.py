@@ -21,12 +21,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from tramstream.attitude import C_bv_of
-from tramstream.config import Imu
+from tramstream.config import Imu, Vehicle
 from tramstream.estimation.kalman import Array
 from tramstream.processors.consistency.mounting import GRAVITY_MPS2, STILL_MPS2, WINDOW_S
 from tramstream.processors.consistency.way import Course
@@ -41,6 +42,8 @@ LIMIT = 90.0
 LEAST_DEG = 0.3
 FLOOR_MPS2 = 0.02
 """No window is known better: springs, kerbs, what turns about other axes."""
+SIZE_MPS2 = 0.4
+"""By which gravity may differ before and after: the scales of the axes."""
 STOPS_MPS2 = 6.0
 """A window that differs so much from gravity is a blow."""
 TURN_STD_RAD = 0.5
@@ -74,6 +77,14 @@ class Change(NamedTuple):
     @property
     def tilt_rad(self) -> float:
         return math.hypot(*self.turn_v[:2])
+
+
+def origin_of(vehicle: Vehicle) -> str:
+    """Who said how the IMU is mounted, for a sentence."""
+    known = vehicle.calibrated
+    if known is None or not any(each.startswith("imu.mounting") for each in known.fields):
+        return "the configuration"
+    return f"the calibration of {known.made or 'an unknown day'} ({Path(known.file).name})"
 
 
 @dataclass
@@ -162,10 +173,8 @@ class Moved:
         memory = self.memory
         ends = np.array(memory.ends_s)
         edges = np.concatenate([[ends[0] - WINDOW_S], ends[:-1]])
-        v = path.rate(edges, WINDOW_S)
-        if not np.isfinite(v).all():
-            memory.waited += 1
-            return
+        half = 0.5 * WINDOW_S
+        v = (path.held(edges + half) - path.held(edges - half)) / WINDOW_S
         values = np.array(memory.means)[:-1]
         a, speed = np.diff(v) / WINDOW_S, 0.5 * (v[1:] + v[:-1])
         turned = np.array(memory.turned)[:-1].reshape(-1, 3, 3)
@@ -204,7 +213,8 @@ class Moved:
             pushed = np.einsum("kij,kj->ki", C, motion)
             q[BEFORE:] = q[BEFORE:] @ R
             pushed[BEFORE:] = np.einsum("kij,kj->ki", R.T @ C[BEFORE:] @ R, motion[BEFORE:])
-            if np.any(np.abs(np.linalg.norm(q - pushed, axis=1) - GRAVITY_MPS2) > STOPS_MPS2):
+            size = np.linalg.norm(q - pushed, axis=1)
+            if np.any(np.abs(size - GRAVITY_MPS2) > STOPS_MPS2) or _scaled(size):
                 return None
             x, P = _fitted(q - pushed, q, drift, prior, _vector(R))
             delta = x[-3:]
@@ -277,6 +287,11 @@ def _fitted(y: Array, q: Array, drift: Array, prior: Array, turned: Array) -> tu
         spread = max(float(np.median(off)) / 1.538, FLOOR_MPS2)
         weight = np.minimum(1.0, CLIP * spread / np.maximum(off, 1e-9))
     return x, np.linalg.inv(N)[9:, 9:]
+
+
+def _scaled(size: Array) -> bool:
+    """Whether gravity has another size than before: an axis is dead, and nothing was turned."""
+    return abs(float(np.median(size[:BEFORE])) - float(np.median(size[BEFORE:]))) > SIZE_MPS2
 
 
 def _vector(R: Array) -> Array:

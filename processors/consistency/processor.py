@@ -25,11 +25,13 @@ from tramstream.processors.consistency.mounting import (
     BACKWARDS_RAD,
     GRAVITY_LIMIT_MPS2,
     GRAVITY_MPS2,
+    MANY_STANDS,
     STDS,
     Mounting,
     MountingMemory,
     Turn,
 )
+from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of
 from tramstream.processors.consistency.speeds import Fixes, Speeds, compared, lever
 from tramstream.processors.consistency.way import Course, Way, WayMemory
 from tramstream.processors.consistency.windows import Window, WindowMemory
@@ -39,6 +41,8 @@ AGAIN_S = 300.0
 """What holds is said again after so long."""
 RECENT = 40
 """Points of the way that a moment of driving needs: four seconds."""
+LONG = 260
+"""Points of the way that whether the IMU was moved needs: twenty-six seconds."""
 LONGEST_S = 0.1
 """No frame stands for a longer turning."""
 JUDGED_S = 5.0
@@ -91,6 +95,7 @@ class CheckMemory:
     way: WayMemory = field(default_factory=WayMemory)
     mounting: MountingMemory = field(default_factory=MountingMemory)
     window: WindowMemory = field(default_factory=WindowMemory)
+    moved: MovedMemory = field(default_factory=MovedMemory)
     fixes: FixesMemory = field(default_factory=FixesMemory)
     frame_s: float = 0.0
     judged_s: float = 0.0
@@ -120,6 +125,8 @@ class ConfigurationCheck(Processor):
         self._fixes = FixHistory(self._way, self.memory.fixes)
         imu = vehicle.imu
         self._mounting = Mounting(imu, self.memory.mounting) if imu is not None else None
+        self._moved = Moved(imu, self.memory.moved) if imu is not None else None
+        self._origin = origin_of(vehicle)
 
     def restored(self) -> None:
         if self._mounting is not None:
@@ -170,12 +177,35 @@ class ConfigurationCheck(Processor):
         if mean is None:
             memory.mounting.windows.clear()
             return []
-        if mounting.take(time_s, mean, self._still(time_s, moved_m)):
-            return self._judge_stand(mounting)
+        still = self._still(time_s, moved_m)
+        found = self._judge_moved(time_s, mean, still)
+        if mounting.take(time_s, mean, still):
+            return found + self._judge_stand(mounting)
         if memory.mounting.still:
-            return []
+            return found
         mounting.drive(Course(memory.way.path[-RECENT:]))
-        return self._judge_drive(mounting)
+        return found + self._judge_drive(mounting)
+
+    def _judge_moved(self, time_s: float, mean: list[float], still: bool) -> list[Event]:
+        moved, way = self._moved, self.memory.way
+        if moved is None:
+            return []
+        if time_s - way.read_s > FRESH_S:  # nobody says how the vehicle moves
+            moved.forget()
+            return []
+        change = moved.take(time_s, mean, still, Course(way.path[-LONG:]))
+        if change is None:
+            return []
+        return [
+            own_events.MOUNT_CHANGED(
+                ago_s=time_s - change.time_s,
+                tilt_deg=math.degrees(change.tilt_rad),
+                tilt_std_deg=math.degrees(change.tilt_std_rad),
+                turned_deg=math.degrees(change.turn_v[2]),
+                turned_std_deg=math.degrees(change.yaw_std_rad),
+                origin=self._origin,
+            )
+        ]
 
     def _still(self, time_s: float, moved_m: float) -> bool:
         """Whether wheels, or fixes where there are none, say that the vehicle stands."""
@@ -194,9 +224,19 @@ class ConfigurationCheck(Processor):
             return [own_events.GRAVITY_WRONG(force_mps2=force, **facts)]
         tilt, limit = mounting.tilt_deg, mounting.tilt_limit_deg
         if tilt <= limit:
-            return []
+            return self._judge_stands(mounting)
         angles = _angles(mounting.mounting_deg())
         return [own_events.MOUNTING_TILTED(tilt_deg=tilt, limit_deg=limit, **angles)]
+
+    def _judge_stands(self, mounting: Mounting) -> list[Event]:
+        """Judge the mean of many, each of which is within its own limit."""
+        stands = mounting.memory.stands
+        tilt, limit = mounting.mean_tilt_deg, mounting.mean_tilt_limit_deg
+        if stands < MANY_STANDS or tilt <= limit:
+            return []
+        facts = {"tilt_deg": tilt, "limit_deg": limit, "origin": self._origin}
+        angles = _angles(mounting.mounting_deg())
+        return [own_events.MOUNTING_DIFFERS(stands=stands, **facts, **angles)]
 
     def _judge_drive(self, mounting: Mounting) -> list[Event]:
         turn = mounting.turn()

@@ -152,6 +152,13 @@ class Course:
         found[self._time_s[right] - self._time_s[right - 1] > PAUSE_S] = np.nan
         return found
 
+    def held(self, time_s: Array) -> Array:
+        """Value at times where a gap is a stand: nothing has changed meanwhile."""
+        if not len(self):
+            return np.zeros(np.shape(time_s))
+        found: Array = np.interp(time_s, self._time_s, self._value)
+        return found
+
     def rate(self, time_s: Array, over_s: float = 0.4) -> Array:
         """Change a second at times, over a short span about them."""
         half = 0.5 * over_s
