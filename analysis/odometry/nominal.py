@@ -202,11 +202,11 @@ def nominal_of(
     broken = np.diff(np.interp(nodes, t, hole)) > 0.0
     broken |= ~(way.known(nodes[1:]) & way.known(nodes[:-1]))
     slid = np.concatenate([[0.0], np.cumsum(slipping[1:] * np.diff(t))])
-    a = np.diff(way.of(0, nodes))
-    b = np.diff(way.of(len(way.wheels) - 1, nodes))
+    a = np.diff(way.rounded_off(0, nodes))
+    b = np.diff(way.rounded_off(len(way.wheels) - 1, nodes))
     two = len(way.wheels) == 2
     still = way.standing(nodes)
-    standing = still[1:] & still[:-1] & (a == 0.0) & (b == 0.0)
+    standing = still[1:] & still[:-1] & (np.abs(a) + np.abs(b) < 1e-9)
     inside = (fixes.time_s > nodes[0]) & (fixes.time_s < nodes[-1])
     if inside.sum() < 30:
         return None

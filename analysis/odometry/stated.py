@@ -17,8 +17,8 @@ DELAY_STD_S = 2.0
 """About what the search for clocks has found."""
 TRACK_STD = 0.003
 """Of the distance of the wheels' treads, as a part: they run on cones."""
-CREEP_M_RTM = 0.0002
-SIDE_M_RTS = 0.003
+CREEP_M_RTM = 0.00002
+SIDE_M_RTS = 0.001
 """Way to the side after a second, which walks: the rail is not where the axis points."""
 SPEED_READING = 0.01
 """Deviation of the way of a wheel that gives a speed, m after a second."""
@@ -35,7 +35,8 @@ class Stated(NamedTuple):
     """Of one wheel, m after a metre."""
     side: float
     reading: float
-    """Of the way between two nodes by one wheel's readings, m."""
+    """Of the way between two nodes by one wheel's readings, m. Rounding does not add up, for the
+    remainder is carried on: little of it is left to be taken for a walk."""
     track_m: float
     white_share: float = WHITE_SHARE
 
@@ -52,6 +53,6 @@ def stated_of(vehicle: Vehicle) -> Stated:
         gyro_bias=imu.gyro_bias_std_radps if imu is not None else 0.01,
         creep=max(vehicle.ekf.wheel_creep_m_rtm, CREEP_M_RTM),
         side=max(vehicle.ekf.side_slip_std_m_rts, SIDE_M_RTS),
-        reading=SPEED_READING if speeds else 0.6 * wheels.m_per_pulse,
+        reading=SPEED_READING if speeds else 0.1 * wheels.m_per_pulse,
         track_m=wheels.track_m,
     )

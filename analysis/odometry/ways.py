@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 PAUSE_S = 1.0
 """Nothing is known of the way between two readings that are further apart."""
+ROUNDED_S = 0.4
 STAND_S = 1.0
 """So long no wheel must turn for a stand."""
 
@@ -37,6 +38,12 @@ class Way:
         one = self.wheels[wheel]
         found: Array = np.interp(time_s, one.time_s, one.way_m)
         return found
+
+    def rounded_off(self, wheel: int, time_s: Array) -> Array:
+        """Way of one wheel, the mean over `ROUNDED_S`, in which the rounding to pulses cancels."""
+        about = np.linspace(-0.5, 0.5, 21) * ROUNDED_S
+        total: Array = sum((self.of(wheel, time_s + each) for each in about), np.zeros(1))
+        return total / len(about)
 
     def at(self, time_s: Array) -> Array:
         """Mean way of all wheels."""

@@ -29,6 +29,8 @@ import numpy as np
 from tramstream.attitude import C_bv_of
 from tramstream.config import Imu, Vehicle
 from tramstream.estimation.kalman import Array
+from tramstream.events.kinds import Event
+from tramstream.processors.consistency.events import MOUNT_CHANGED
 from tramstream.processors.consistency.mounting import GRAVITY_MPS2, STILL_MPS2, WINDOW_S
 from tramstream.processors.consistency.way import Course
 
@@ -85,6 +87,18 @@ def origin_of(vehicle: Vehicle) -> str:
     if known is None or not any(each.startswith("imu.mounting") for each in known.fields):
         return "the configuration"
     return f"the calibration of {known.made or 'an unknown day'} ({Path(known.file).name})"
+
+
+def told(change: Change, now_s: float, origin: str) -> Event:
+    """What there is to say of it."""
+    return MOUNT_CHANGED(
+        ago_s=now_s - change.time_s,
+        tilt_deg=math.degrees(change.tilt_rad),
+        tilt_std_deg=math.degrees(change.tilt_std_rad),
+        turned_deg=math.degrees(change.turn_v[2]),
+        turned_std_deg=math.degrees(change.yaw_std_rad),
+        origin=origin,
+    )
 
 
 @dataclass

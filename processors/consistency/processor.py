@@ -31,7 +31,7 @@ from tramstream.processors.consistency.mounting import (
     MountingMemory,
     Turn,
 )
-from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of
+from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of, told
 from tramstream.processors.consistency.speeds import Fixes, Speeds, compared, lever
 from tramstream.processors.consistency.way import Course, Way, WayMemory
 from tramstream.processors.consistency.windows import Window, WindowMemory
@@ -41,6 +41,8 @@ AGAIN_S = 300.0
 """What holds is said again after so long."""
 RECENT = 40
 """Points of the way that a moment of driving needs: four seconds."""
+FITTING = math.log(1.25)
+"""Force over the wheels' acceleration, to either side."""
 LONG = 260
 """Points of the way that whether the IMU was moved needs: twenty-six seconds."""
 LONGEST_S = 0.1
@@ -96,6 +98,8 @@ class CheckMemory:
     mounting: MountingMemory = field(default_factory=MountingMemory)
     window: WindowMemory = field(default_factory=WindowMemory)
     moved: MovedMemory = field(default_factory=MovedMemory)
+    fitted: bool = False
+    """Whether the force of a departure was that of the wheels, as it is mounted."""
     fixes: FixesMemory = field(default_factory=FixesMemory)
     frame_s: float = 0.0
     judged_s: float = 0.0
@@ -178,7 +182,7 @@ class ConfigurationCheck(Processor):
             memory.mounting.windows.clear()
             return []
         still = self._still(time_s, moved_m)
-        found = self._judge_moved(time_s, mean, still)
+        found = self._judge_moved(time_s, mean, still, mounting)
         if mounting.take(time_s, mean, still):
             return found + self._judge_stand(mounting)
         if memory.mounting.still:
@@ -186,7 +190,9 @@ class ConfigurationCheck(Processor):
         mounting.drive(Course(memory.way.path[-RECENT:]))
         return found + self._judge_drive(mounting)
 
-    def _judge_moved(self, time_s: float, mean: list[float], still: bool) -> list[Event]:
+    def _judge_moved(
+        self, time_s: float, mean: list[float], still: bool, mounting: Mounting
+    ) -> list[Event]:
         moved, way = self._moved, self.memory.way
         if moved is None:
             return []
@@ -194,18 +200,10 @@ class ConfigurationCheck(Processor):
             moved.forget()
             return []
         change = moved.take(time_s, mean, still, Course(way.path[-LONG:]))
-        if change is None:
+        self.memory.fitted = self.memory.fitted or _fits(mounting)
+        if change is None or not self.memory.fitted:
             return []
-        return [
-            own_events.MOUNT_CHANGED(
-                ago_s=time_s - change.time_s,
-                tilt_deg=math.degrees(change.tilt_rad),
-                tilt_std_deg=math.degrees(change.tilt_std_rad),
-                turned_deg=math.degrees(change.turn_v[2]),
-                turned_std_deg=math.degrees(change.yaw_std_rad),
-                origin=self._origin,
-            )
-        ]
+        return [told(change, time_s, self._origin)]
 
     def _still(self, time_s: float, moved_m: float) -> bool:
         """Whether wheels, or fixes where there are none, say that the vehicle stands."""
@@ -376,6 +374,14 @@ class ConfigurationCheck(Processor):
         ]
         memory.late, memory.late_s = {}, time_s
         return found
+
+
+def _fits(mounting: Mounting) -> bool:
+    """Whether mounting and wheels agree, without which no force can be explained."""
+    turn = mounting.turn()
+    if turn is None or abs(math.degrees(turn.angle_rad)) > mounting.turn_limit_deg:
+        return False
+    return abs(math.log(turn.size)) < FITTING
 
 
 def _likely(factor: float, known: tuple[tuple[float, str], ...], unlike: str) -> str:
