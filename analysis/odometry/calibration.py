@@ -85,16 +85,9 @@ def calibrate(ride: Ride) -> Calibration:
         return Calibration(verdict)
     way = Way(wheels)
     level = levelled(ride, ride.imu, way)
-    behind = _imu_delay(ride, level, way)
-    imu = _earlier(ride.imu, behind)
-    if behind.clear:
-        level = levelled(ride, imu, way)
-        again = clocks.imu_behind_wheels(way, level.time_s, level.driving_mps2)
-        if again.clear and abs(again.delay_s) < 0.3:
-            behind = again._replace(delay_s=behind.delay_s + again.delay_s)
-            imu = _earlier(ride.imu, behind)
-            level = levelled(ride, imu, way)
-    fixes_delay = clocks.fixes_behind_wheels(way, ride.fixes)
+    behind, level = _together(ride, level, way)
+    mended_way, slips, slipping = mended(way, level)
+    fixes_delay = clocks.fixes_behind_wheels(mended_way, ride.fixes)
     third = clocks.fixes_behind_imu(level.time_s, level.turned_rad, ride.fixes)
     if third.clear and behind.clear:
         third = third._replace(delay_s=third.delay_s - behind.delay_s)
@@ -102,9 +95,8 @@ def calibrate(ride: Ride) -> Calibration:
         fixes_delay = third._replace(delay_s=third.delay_s + behind.delay_s)
     shift_s = fixes_delay.delay_s if fixes_delay.clear else 0.0
     fixes = replace(ride.fixes, time_s=ride.fixes.time_s - shift_s)
-    mended_way, slips, slipping = mended(way, level)
     stated = stated_of(ride.vehicle)
-    nominal = nominal_of(mended_way, level, fixes, slipping, stated.error_tau_s)
+    nominal = nominal_of(mended_way, level, fixes, slipping, stated.error_tau_s, _height_m(ride))
     if nominal is None:
         return Calibration("IMU, wheels and fixes have no minute in common")
     found = solve(nominal, stated)
@@ -182,11 +174,29 @@ def _contradicted(found: Found, wheels: tuple[WheelWay, ...]) -> str:
     return ""
 
 
-def _imu_delay(ride: Ride, level: Level, way: Way) -> clocks.Delay:
-    """How far the IMU's stamps are behind the wheels'."""
+def _height_m(ride: Ride) -> float:
+    """Of the antenna above the rail's point, as configured."""
+    return ride.vehicle.gnss.lever_arm_m[2] if ride.vehicle.gnss is not None else 0.0
+
+
+def _together(ride: Ride, level: Level, way: Way) -> tuple[clocks.Delay, Level]:
+    """How far the IMU's stamps are behind the wheels', and the ride with the two on one clock.
+
+    First by the force as it is, then, where the clocks are near each other, without the slope's,
+    and without the wheels' slips.
+    """
     if ride.vehicle.imu is None:
-        return clocks.UNKNOWN
-    return clocks.imu_behind_wheels(way, level.time_s, level.force_mps2)
+        return clocks.UNKNOWN, level
+    behind = clocks.imu_behind_wheels(way, level.time_s, level.force_mps2)
+    if not behind.clear:
+        return behind, level
+    for _ in range(2):
+        level = levelled(ride, _earlier(ride.imu, behind), way)
+        better, _, _ = mended(way, level)
+        more = clocks.imu_behind_wheels(better, level.time_s, level.driving_mps2)
+        if more.clear and abs(more.delay_s) < 0.3:
+            behind = more._replace(delay_s=behind.delay_s + more.delay_s)
+    return behind, levelled(ride, _earlier(ride.imu, behind), way)
 
 
 def _earlier(imu: Inertial, delay: clocks.Delay) -> Inertial:

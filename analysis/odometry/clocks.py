@@ -117,7 +117,7 @@ def _refined(
 def imu_behind_wheels(way: Way, time_s: Array, driving_mps2: Array) -> Delay:
     """By how much the stamps of the IMU are later than those of the wheels.
 
-    The force ahead, as far as it is not the slope's, is held to the wheels' acceleration; of both
+    The force ahead, as far as it is not the slope's, adds up to a speed; of that and of the wheels'
     what lasts for ten seconds is left out.
     """
     first, last = way.span
@@ -125,13 +125,14 @@ def imu_behind_wheels(way: Way, time_s: Array, driving_mps2: Array) -> Delay:
     if len(grid) < 1000:
         return UNKNOWN
     force = np.interp(grid, time_s, driving_mps2)
-    a = _fast(smooth(force, 21), 0.05)
+    felt = _fast(np.cumsum(0.025 * (force + np.concatenate([force[:1], force[:-1]]))), 0.05)
     v = way.speed(grid, 0.2)
-    b = _fast(smooth(np.gradient(v, grid), 21), 0.05)
     moves = (smooth(np.abs(v), 101) > 0.5) & way.known(grid)
     if moves.sum() < 500:
         return UNKNOWN
-    return compared(grid, b, grid[moves], a[moves], white=21.0)
+    # Derivatives are taken of the force's speed, which is the smoother one.
+    wheels = compared(grid, felt, grid[moves], _fast(v, 0.05)[moves], white=21.0)
+    return wheels._replace(delay_s=-wheels.delay_s)
 
 
 def fixes_behind_wheels(way: Way, fixes: FixColumns) -> Delay:

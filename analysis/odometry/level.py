@@ -26,6 +26,7 @@ STEEPEST = 0.12
 """Of a slope as its sine; more is a slip of the wheels, or a kerb."""
 SLOPE_S = 5.0
 """The slope is the median over so long: a slip is shorter."""
+CANT_S = 1.5
 ACCELERATION_S = 1.0
 
 
@@ -39,6 +40,8 @@ class Level(NamedTuple):
     """Ahead, level."""
     slope_rad: Array
     """Uphill positive along x."""
+    cant_rad: Array
+    """Roll, right side down positive, but for a constant."""
     turn_deg: float
     """How far the case is turned about the vertical against what is configured."""
     turn_std_deg: float
@@ -76,9 +79,19 @@ def levelled(ride: Ride, imu: Inertial, way: Way) -> Level:
     turned = np.cumsum(step * 0.5 * (mean + np.concatenate([mean[:1], mean[:-1]])))
     angle, std = _turn(ride, imu, way)
     ahead = force[:, 0] * np.cos(angle) + force[:, 1] * np.sin(angle)
+    aside = force[:, 1] * np.cos(angle) - force[:, 0] * np.sin(angle) - speed * mean
+    more = _lever(ride, imu.time_s, mean)
+    ahead, aside = ahead + more[0], aside + more[1]
     slope = _slope(imu.time_s, ahead, speed, ride.fixes, way)
     return Level(
-        imu.time_s, turned, ahead, slope, float(np.degrees(angle)), float(np.degrees(std)), stands
+        imu.time_s,
+        turned,
+        ahead,
+        slope,
+        _cant(aside),
+        float(np.degrees(angle)),
+        float(np.degrees(std)),
+        stands,
     )
 
 
@@ -93,6 +106,30 @@ def _bias(time_s: Array, rate: Array, standing: NDArray[np.bool_]) -> tuple[Arra
     if not at:
         return np.zeros(len(time_s)), 0
     return np.interp(time_s, at, value), len(at)
+
+
+def _lever(ride: Ride, time_s: Array, rate: Array) -> tuple[Array, Array]:
+    """What a case beside the point that does not slip feels less in curves: ahead, to the left."""
+    known = ride.vehicle.imu
+    if known is None:
+        return np.zeros(len(time_s)), np.zeros(len(time_s))
+    x, y, _ = known.lever_arm_m
+    x += ride.vehicle.ekf.pivot_m
+    change = np.gradient(smooth(rate, 5), time_s)
+    return rate**2 * x + change * y, rate**2 * y - change * x
+
+
+def _cant(aside: Array) -> Array:
+    """Roll by the force to the left that is not the curve's; upright is what is most often."""
+    stride = max(round(0.25 / MEAN_S), 1)
+    thin = smooth(aside, 2 * stride + 1)[::stride]
+    size = round(CANT_S / (stride * MEAN_S)) | 1
+    padded = np.pad(thin, size // 2, mode="edge")
+    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, size), axis=1)
+    at = np.arange(len(aside))
+    sine = np.interp(at, at[::stride], median - np.median(median)) / GRAVITY_MPS2
+    found: Array = np.arcsin(np.clip(sine, -STEEPEST, STEEPEST))
+    return found
 
 
 def _turn(ride: Ride, imu: Inertial, way: Way) -> tuple[float, float]:

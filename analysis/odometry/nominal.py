@@ -59,6 +59,9 @@ class Placed(NamedTuple):
     speed_std: Array
     apart_s: Array
     """Since the fix before."""
+    leaning: Complex
+    """How far the antenna is ahead and to the left more, for its height leans with slope and
+    cant."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ class Nominal:
         f, k = self.fixes, self.fixes.node
         turn = np.exp(1j * x[k, Slot.YAW])
         here = turn * np.exp(1j * f.turned)
-        lever = constants[3] + 1j * constants[4]
+        lever = constants[3] + 1j * constants[4] + f.leaning
         velocity = here * (f.speed + 1j * f.rate * lever)
         way = (1.0 + self.mean_scale(constants)) * turn * f.step
         p = x[k, Slot.EAST] + 1j * x[k, Slot.NORTH]
@@ -172,7 +175,12 @@ class Nominal:
 
 
 def nominal_of(
-    way: Way, level: Level, fixes: FixColumns, slipping: Flags, tau_s: float
+    way: Way,
+    level: Level,
+    fixes: FixColumns,
+    slipping: Flags,
+    tau_s: float,
+    height_m: float,
 ) -> Nominal | None:
     """Lay out the ride; None where wheels, IMU and fixes have no minute in common.
 
@@ -187,6 +195,8 @@ def nominal_of(
         At each mean of `level`, whether a wheel slips.
     tau_s : float
         How long the fixes' error lasts.
+    height_m : float
+        Of the antenna, as configured.
     """
     t = level.time_s
     starts = [t[0], fixes.time_s[0], *(one.time_s[0] for one in way.wheels)]
@@ -211,6 +221,7 @@ def nominal_of(
     if inside.sum() < 30:
         return None
     placed = _placed(path, nodes, fixes, inside)
+    placed = placed._replace(leaning=height_m * path.leaning(placed.time_s))
     return Nominal(
         time_s=nodes,
         dt_s=np.diff(nodes),
@@ -234,6 +245,7 @@ class _Path:
     """Yaw and place by wheels and gyroscope, at any instant."""
 
     def __init__(self, way: Way, level: Level) -> None:
+        self._level = level
         t = self._t = level.time_s
         self._yaw = level.turned_rad
         turned = np.diff(self._yaw)
@@ -260,6 +272,12 @@ class _Path:
         real = np.interp(time_s, self._t, self._place.real)
         found: Complex = real + 1j * np.interp(time_s, self._t, self._place.imag)
         return found
+
+    def leaning(self, time_s: Array) -> Complex:
+        """How far a point a metre above the rail leans ahead and to the left, m."""
+        ahead = -np.sin(np.interp(time_s, self._t, self._level.slope_rad))
+        left: Complex = ahead - 1j * np.sin(np.interp(time_s, self._t, self._level.cant_rad))
+        return left
 
     def motion(self, time_s: Array) -> tuple[Array, Array, Array]:
         """Speed, rate about the vertical, acceleration."""
@@ -288,4 +306,5 @@ def _placed(path: _Path, nodes: Array, fixes: FixColumns, inside: Flags) -> Plac
         std=fixes.std_m[inside],
         speed_std=fixes.speed_std_mps[inside],
         apart_s=np.concatenate([[1.0], np.diff(time_s)]),
+        leaning=np.zeros(len(time_s), dtype=complex),
     )

@@ -253,7 +253,7 @@ def _fixes(rows: Rows, n: Nominal, stated: Stated, x: Array, c: Array, scale: fl
     k = f.node
     turn = np.exp(1j * x[k, Slot.YAW])
     here = turn * np.exp(1j * f.turned)
-    lever = c[Constant.AHEAD] + 1j * c[Constant.LEFT]
+    lever = c[Constant.AHEAD] + 1j * c[Constant.LEFT] + f.leaning
     way = turn * f.step
     scaled = (1.0 + n.mean_scale(c)) * way
     velocity = here * (f.speed + 1j * f.rate * lever)
@@ -296,7 +296,7 @@ def _velocities(rows: Rows, n: Nominal, x: Array, c: Array) -> None:
         return
     k = f.node[which]
     here = np.exp(1j * (x[k, Slot.YAW] + f.turned[which]))
-    lever = c[Constant.AHEAD] + 1j * c[Constant.LEFT]
+    lever = c[Constant.AHEAD] + 1j * c[Constant.LEFT] + f.leaning[which]
     v, w, a = f.speed[which], f.rate[which], f.acceleration[which]
     scaled = (1.0 + n.mean_scale(c)) * v
     change = here * (a + 1j * w * scaled - w**2 * lever)

@@ -127,6 +127,7 @@ class Moved:
     def __init__(self, imu: Imu, memory: MovedMemory) -> None:
         self.memory = memory
         self._C_bv: Array = C_bv_of(imu)
+        self._lever_m = imu.lever_arm_m
         self._walk = imu.gyro_walk_radps2_rthz
 
     def take(self, end_s: float, mean: list[float], still: bool, path: Course) -> Change | None:
@@ -214,7 +215,11 @@ class Moved:
         """What of the forces is the vehicle's motion by its wheels, in the axes of the case."""
         ahead, left = self._axes(values[:BEFORE, :3])
         turning = (values[:, 3:] - self._bias()) @ np.cross(ahead, left)
-        made: Array = a[:, None] * ahead + (speed * turning)[:, None] * left
+        x, y, _ = self._lever_m
+        change = np.gradient(turning, WINDOW_S)
+        along = a - turning**2 * x - change * y
+        across = speed * turning - turning**2 * y + change * x
+        made: Array = along[:, None] * ahead + across[:, None] * left
         return made
 
     def _turn(self, force: Array, C: Array, motion: Array, now_s: float) -> list[float] | None:
