@@ -29,6 +29,8 @@ LEAST_WAY_M = 500.0
 LEAST_FIXES = 60
 DELAY_FLOOR_S = 0.001
 """What the model of the motion leaves of a delay, however well readings agree."""
+ANTENNA_FLOOR_M = 0.05
+"""Likewise of the antenna: cant and slope lean it, and that the pivot does not slip is a model."""
 SCALE_FLOOR = 0.00002
 """Likewise of a wheel: the plan of the local level, the slope."""
 LIMITS = {"1": 0.005, "m": 1.0, "s": 0.05}
@@ -149,14 +151,14 @@ def _unfit(ride: Ride, wheels: tuple[WheelWay, ...]) -> str:
     if dead and (span_m > 100.0 or len(dead) < len(ways)):
         names = ", ".join(dead)
         return f"wheels that do not count while the vehicle moves: {names}"
-    if len(fixes.time_s) < LEAST_FIXES:
-        return f"{len(fixes.time_s)} usable fixes, {LEAST_FIXES} are needed"
     most_m = max(ways.values())
     if most_m < LEAST_WAY_M:
         return (
             f"too little motion: {most_m:.0f} m by the wheels, {LEAST_WAY_M:.0f} are needed, with "
             "curves for the antenna and several departures for the delays"
         )
+    if len(fixes.time_s) < LEAST_FIXES:
+        return f"{len(fixes.time_s)} usable fixes, {LEAST_FIXES} are needed"
     return ""
 
 
@@ -228,7 +230,7 @@ def _figures(
     whole[:-1, :-1] = P
     whole[-1, -1] = imu_std**2
     covariance = J @ whole @ J.T
-    floors = [SCALE_FLOOR] * len(wheels) + [0.01, 0.01, DELAY_FLOOR_S, 0.0]
+    floors = [SCALE_FLOOR] * len(wheels) + [ANTENNA_FLOOR_M] * 2 + [DELAY_FLOOR_S, 0.0]
     covariance += np.diag(np.square(floors))
     values = [float(value[k]) for k in at]
     values += [float(value[Constant.AHEAD]), float(value[Constant.LEFT])]

@@ -240,7 +240,8 @@ def apart(imu: Delay, fixes: Delay, fixes_imu: Delay) -> Apart:
     if off(imu) and not off(fixes):
         return Apart("imu", imu.delay_s, imu.std_s)
     if off(imu) and off(fixes):
-        if fixes_imu.clear and abs(fixes_imu.delay_s) > OFF_S:
+        # An antenna ahead of the pivot turns into curves earlier, by up to a second.
+        if fixes_imu.clear and abs(fixes_imu.delay_s) > 0.5 * abs(fixes.delay_s):
             return Apart("", np.nan, np.inf)
         return Apart("wheels", -fixes.delay_s, fixes.std_s)
     return NONE
