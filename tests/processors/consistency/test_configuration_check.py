@@ -187,18 +187,17 @@ def test_case_that_is_moved_on_the_way_is_said_with_the_instant_and_the_turn(
     """It is said within fifteen seconds; the instant is found within two, the tilt within 1°."""
     moved_s = STOOD_S + 36.0
     event = ImuMoved(start_s=moved_s, duration_s=1000.0, turned_deg=turn)
-    for seed in SEEDS:
-        found = [
-            (time_s, facts)
-            for kind, time_s, facts in told(altered(base(), events=(event,)), seed=seed)
-            if kind == events.MOUNT_CHANGED.name
-        ]
-        ((time_s, facts),) = found
-        assert time_s < moved_s + 15.0
-        assert time_s - facts["ago_s"] == pytest.approx(moved_s, abs=2.0)
-        # City trams have their cases turned by 90° about the vertical: tilts are of any direction.
-        assert facts["tilt_deg"] == pytest.approx(math.hypot(*turn[:2]), abs=1.5)
-        assert facts["origin"] == "the configuration"
+    found = [
+        (time_s, facts)
+        for kind, time_s, facts in told(altered(base(), events=(event,)))
+        if kind == events.MOUNT_CHANGED.name
+    ]
+    ((time_s, facts),) = found
+    assert time_s < moved_s + 15.0
+    assert time_s - facts["ago_s"] == pytest.approx(moved_s, abs=2.0)
+    # The cases of the city's trams are turned by 90° about the vertical: x and y change places.
+    assert facts["tilt_deg"] == pytest.approx(math.hypot(*turn[:2]), abs=1.5)
+    assert facts["origin"] == "the configuration"
 
 
 def test_force_in_another_unit_is_said_at_the_first_stand() -> None:
