@@ -17,6 +17,7 @@ from tramstream.analysis.odometry import clocks
 from tramstream.analysis.odometry.batch import Found, solve
 from tramstream.analysis.odometry.level import Level, levelled
 from tramstream.analysis.odometry.material import Inertial, Ride, WheelWay
+from tramstream.analysis.odometry.moves import changes_in
 from tramstream.analysis.odometry.nominal import nominal_of
 from tramstream.analysis.odometry.rows import Constant
 from tramstream.analysis.odometry.slips import Slip, mended
@@ -97,6 +98,9 @@ def calibrate(ride: Ride) -> Calibration:
         fixes_delay = third._replace(delay_s=third.delay_s + behind.delay_s)
     shift_s = fixes_delay.delay_s if fixes_delay.clear else 0.0
     fixes = replace(ride.fixes, time_s=ride.fixes.time_s - shift_s)
+    moved = _moved(ride, behind, wheels)
+    if moved:
+        return Calibration(moved, slips=tuple(slips))
     stated = stated_of(ride.vehicle)
     nominal = nominal_of(mended_way, level, fixes, slipping, stated.error_tau_s, _height_m(ride))
     if nominal is None:
@@ -174,6 +178,22 @@ def _contradicted(found: Found, wheels: tuple[WheelWay, ...]) -> str:
             "their deviations allow"
         )
     return ""
+
+
+def _moved(ride: Ride, behind: clocks.Delay, wheels: tuple[WheelWay, ...]) -> str:
+    """Where the IMU was moved within the ride; empty where it was not."""
+    if not behind.clear:
+        return ""
+    on_imu = Way(wheels).shifted(-behind.delay_s).wheels
+    found = changes_in(ride, wheels=on_imu)
+    if not found:
+        return ""
+    first = found[0]
+    tilt, std = math.degrees(first.tilt_rad), math.degrees(first.tilt_std_rad)
+    return (
+        f"the IMU was moved {first.time_s:.0f} s after the beginning, by a tilt of {tilt:.1f}° "
+        f"(± {std:.1f}°): cut the record there, and calibrate each part"
+    )
 
 
 def _height_m(ride: Ride) -> float:

@@ -136,8 +136,8 @@ def _add(points: Points, time_s: float, value: float) -> None:
 class Course:
     """A history as a function of time, NaN where it has a gap."""
 
-    def __init__(self, points: Points) -> None:
-        rows = np.array(points, dtype=float).reshape(-1, 2)
+    def __init__(self, points: Points | Array) -> None:
+        rows = np.asarray(points, dtype=float).reshape(-1, 2)
         self._time_s, self._value = rows[:, 0], rows[:, 1]
 
     def __len__(self) -> int:

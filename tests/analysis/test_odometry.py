@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,13 +15,15 @@ from tramstream.analysis.fleet.outcome import Outcome
 from tramstream.analysis.fleet.places import Place
 from tramstream.analysis.fleet.table import rows_of
 from tramstream.analysis.notebook.rides import simulate
+from tramstream.analysis.odometry import finding
 from tramstream.analysis.odometry.calibration import Calibration, calibrate
-from tramstream.analysis.odometry.finding import find, fragment
+from tramstream.analysis.odometry.finding import fragment
 from tramstream.analysis.odometry.material import FixColumns, Inertial, Ride, WheelWay, read_ride
+from tramstream.analysis.odometry.moves import moved_at
 from tramstream.analysis.odometry.wording import of_ride
 from tramstream.calibration_file import read
 from tramstream.simulation import scenario
-from tramstream.simulation.event_kinds import Slide
+from tramstream.simulation.event_kinds import ImuStuck, Slide
 
 PLAN = "| 150 L40/60 120 R40/90 160 L60/70 200 | 90 R35/80 150 L40/100 180 R50/60 220 |"
 RADIUS_M = 0.3
@@ -187,10 +190,16 @@ def test_ride_that_tells_nothing_has_a_verdict_and_no_figures(
     assert told[-1].startswith("no figures: ")
 
 
+def test_ride_in_which_the_imu_was_moved_has_the_instant_and_no_figures(ride: Ride) -> None:
+    at_s = 100.0
+    verdict = calibrate(moved_at(ride, at_s, np.radians([0.0, 4.0, 3.0])))
+    (told,) = re.findall(r"was moved (\d+) s after the beginning", verdict.verdict)
+    assert float(told) == pytest.approx(at_s, abs=10.0)
+    assert verdict.figures == ()
+
+
 def test_axis_that_repeats_itself_is_seen_in_the_samples(tmp_path: Path) -> None:
     """The simulator's stuck axis, through a record."""
-    from tramstream.simulation.event_kinds import ImuStuck
-
     stuck = ImuStuck(axes=("gyro_z",), start_s=8.0, duration_s=5.0)
     chosen = altered(
         scenario.load("city"), imu={"rate_hz": 100.0, "batch": 1}, resampler=None, events=(stuck,)
@@ -201,18 +210,10 @@ def test_axis_that_repeats_itself_is_seen_in_the_samples(tmp_path: Path) -> None
 
 # The calibration ----------------------------------------------------------------------------------
 def test_calibration_of_a_vehicle_is_one_that_its_configuration_takes(
-    ride: Ride, tmp_path: Path
+    ride: Ride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tramstream.analysis.odometry import finding
-
-    def given(_: object, vehicle: object = None) -> Ride:
-        return ride
-
-    kept, finding.read_ride = finding.read_ride, given  # type: ignore[assignment]
-    try:
-        one = find([tmp_path / "ride.mcap"])
-    finally:
-        finding.read_ride = kept
+    monkeypatch.setattr(finding, "read_ride", lambda *_: ride)
+    one = finding.find([tmp_path / "ride.mcap"])
     rows = rows_of("calibrate", [Outcome(Place("ride.mcap", ()), one)])
     text = fragment(states(rows), [one.detail])
     (tmp_path / "c.toml").write_text(text)
