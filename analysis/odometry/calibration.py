@@ -23,6 +23,7 @@ from tramstream.analysis.odometry.rows import Constant
 from tramstream.analysis.odometry.slips import Slip, mended
 from tramstream.analysis.odometry.stated import stated_of
 from tramstream.analysis.odometry.ways import Way
+from tramstream.processors.consistency.mounting import TURN_LIMIT_DEG
 
 Array = NDArray[np.float64]
 
@@ -98,20 +99,19 @@ def calibrate(ride: Ride) -> Calibration:
         fixes_delay = third._replace(delay_s=third.delay_s + behind.delay_s)
     shift_s = fixes_delay.delay_s if fixes_delay.clear else 0.0
     fixes = replace(ride.fixes, time_s=ride.fixes.time_s - shift_s)
-    moved = _moved(ride, behind, wheels)
-    if moved:
-        return Calibration(moved, slips=tuple(slips))
+    moved = _moved(ride, behind, wheels, level)
     stated = stated_of(ride.vehicle)
     nominal = nominal_of(mended_way, level, fixes, slipping, stated.error_tau_s, _height_m(ride))
     if nominal is None:
         return Calibration("IMU, wheels and fixes have no minute in common")
     found = solve(nominal, stated)
     if found is None or not np.all(np.isfinite(found.value)):
-        return Calibration("the readings do not fit one vehicle: no constants explain them")
+        why = moved or "the readings do not fit one vehicle: no constants explain them"
+        return Calibration(why)
     apart = clocks.apart(behind, fixes_delay, third)
     gone = float(np.abs(np.diff(way.at(level.time_s))).sum())
     made = Calibration(
-        verdict=_contradicted(found, wheels),
+        verdict=_gross(found, wheels) or moved or _misfit(found),
         clock=apart,
         slips=tuple(slips),
         fix_error=found.fix_error,
@@ -166,12 +166,17 @@ def _unfit(ride: Ride, wheels: tuple[WheelWay, ...]) -> str:
     return ""
 
 
-def _contradicted(found: Found, wheels: tuple[WheelWay, ...]) -> str:
-    """Why figures that were found are none."""
+def _gross(found: Found, wheels: tuple[WheelWay, ...]) -> str:
+    """Whether the wheels are of another kind than is configured."""
     used = found.value[: len(wheels)]
     if np.any(np.abs(used) > GROSS):
         factors = ", ".join(f"{one.name} {1 + x:.3f}" for one, x in zip(wheels, used, strict=True))
         return f"the wheels' configured constant is another's ({factors} times): correct it first"
+    return ""
+
+
+def _misfit(found: Found) -> str:
+    """Why figures that were found are none."""
     if found.misfit > MOST_MISFIT:
         return (
             f"the readings do not fit one vehicle: they are {found.misfit:.1f} times as far off as "
@@ -180,9 +185,9 @@ def _contradicted(found: Found, wheels: tuple[WheelWay, ...]) -> str:
     return ""
 
 
-def _moved(ride: Ride, behind: clocks.Delay, wheels: tuple[WheelWay, ...]) -> str:
-    """Where the IMU was moved within the ride; empty where it was not."""
-    if not behind.clear:
+def _moved(ride: Ride, behind: clocks.Delay, wheels: tuple[WheelWay, ...], level: Level) -> str:
+    """Where the IMU was moved within the ride; empty where it was not, or nobody can tell."""
+    if not behind.clear or abs(level.turn_deg) > TURN_LIMIT_DEG:
         return ""
     on_imu = Way(wheels).shifted(-behind.delay_s).wheels
     found = changes_in(ride, wheels=on_imu)
