@@ -80,6 +80,11 @@ class Change(NamedTuple):
     def tilt_rad(self) -> float:
         return math.hypot(*self.turn_v[:2])
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """All of it, for a memory."""
+        return (self.time_s, *self.turn_v, self.tilt_std_rad, self.yaw_std_rad, self.score)
+
 
 def origin_of(vehicle: Vehicle) -> str:
     """Who said how the IMU is mounted, for a sentence."""
@@ -87,18 +92,6 @@ def origin_of(vehicle: Vehicle) -> str:
     if known is None or not any(each.startswith("imu.mounting") for each in known.fields):
         return "the configuration"
     return f"the calibration of {known.made or 'an unknown day'} ({Path(known.file).name})"
-
-
-def told(change: Change, now_s: float, origin: str) -> Event:
-    """What there is to say of it."""
-    return MOUNT_CHANGED(
-        ago_s=now_s - change.time_s,
-        tilt_deg=math.degrees(change.tilt_rad),
-        tilt_std_deg=math.degrees(change.tilt_std_rad),
-        turned_deg=math.degrees(change.turn_v[2]),
-        turned_std_deg=math.degrees(change.yaw_std_rad),
-        origin=origin,
-    )
 
 
 @dataclass
@@ -119,6 +112,8 @@ class MovedMemory:
     best: list[float] = field(default_factory=list)
     """Time, turn, deviations and score of the best instant so far."""
     waited: int = 0
+    found: list[float] = field(default_factory=list)
+    """The last change that was said, as `Change.numbers`; it holds until somebody calibrates."""
 
 
 class Moved:
@@ -146,6 +141,22 @@ class Moved:
             del kept[:-COUNT]
         self._judge(path)
         return self._said()
+
+    def told(self, now_s: float, origin: str) -> list[Event]:
+        """What there is to say of the last change, as long as its mounting is used on."""
+        if not self.memory.found:
+            return []
+        time_s, x, y, z, tilt_std, yaw_std, _ = self.memory.found
+        return [
+            MOUNT_CHANGED(
+                ago_s=now_s - time_s,
+                tilt_deg=math.degrees(math.hypot(x, y)),
+                tilt_std_deg=math.degrees(tilt_std),
+                turned_deg=math.degrees(z),
+                turned_std_deg=math.degrees(yaw_std),
+                origin=origin,
+            )
+        ]
 
     def forget(self) -> None:
         """Begin anew: what comes does not follow."""

@@ -31,7 +31,7 @@ from tramstream.processors.consistency.mounting import (
     MountingMemory,
     Turn,
 )
-from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of, told
+from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of
 from tramstream.processors.consistency.speeds import Fixes, Speeds, compared, lever
 from tramstream.processors.consistency.way import Course, Way, WayMemory
 from tramstream.processors.consistency.windows import Window, WindowMemory
@@ -201,9 +201,9 @@ class ConfigurationCheck(Processor):
             return []
         change = moved.take(time_s, mean, still, Course(way.path[-LONG:]))
         self.memory.fitted = self.memory.fitted or _fits(mounting)
-        if change is None or not self.memory.fitted:
-            return []
-        return [told(change, time_s, self._origin)]
+        if change is not None and self.memory.fitted:
+            moved.memory.found = list(change.numbers)
+        return moved.told(time_s, self._origin)
 
     def _still(self, time_s: float, moved_m: float) -> bool:
         """Whether wheels, or fixes where there are none, say that the vehicle stands."""
