@@ -35,6 +35,9 @@ ANTENNA_FLOOR_M = 0.05
 """Likewise of the antenna: cant and slope lean it, and that the pivot does not slip is a model."""
 SCALE_FLOOR = 0.00002
 """Likewise of a wheel: the plan of the local level, the slope."""
+RECEIVER_DELAY, WHEEL_DELAY = "receiver delay", "wheel delay"
+ANTENNA_AHEAD, ANTENNA_LEFT = "antenna ahead", "antenna left"
+"""Names of figures; that of a wheel's is `scale` and the wheel."""
 LIMITS = {"1": 0.005, "m": 1.0, "s": 0.05}
 """A figure of a larger deviation is not told."""
 GROSS = 0.25
@@ -244,7 +247,7 @@ def _figures(
     imu_std = math.hypot(behind.std_s, DELAY_FLOOR_S) if behind.clear else 1.0
     names = [f"scale {one.name}" for one in wheels]
     at = [int(Constant.SCALE_A), int(Constant.SCALE_B)][: len(wheels)]
-    names += ["antenna ahead", "antenna left", "receiver delay", "wheel delay"]
+    names += [ANTENNA_AHEAD, ANTENNA_LEFT, RECEIVER_DELAY, WHEEL_DELAY]
     size = len(names)
     J = np.zeros((size, P.shape[0] + 1))
     for row, column in enumerate([*at, int(Constant.AHEAD), int(Constant.LEFT)]):

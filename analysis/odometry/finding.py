@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 
 from tramstream.analysis.fleet.changes import State
 from tramstream.analysis.fleet.outcome import Figure, Finding
-from tramstream.analysis.odometry.calibration import Calibration, calibrate
+from tramstream.analysis.odometry.calibration import (
+    ANTENNA_AHEAD,
+    ANTENNA_LEFT,
+    RECEIVER_DELAY,
+    WHEEL_DELAY,
+    Calibration,
+    calibrate,
+)
 from tramstream.analysis.odometry.material import Ride, read_ride
 from tramstream.calibrated import Provenance, Source
 from tramstream.calibration_file import document
@@ -20,7 +27,6 @@ from tramstream.config import Vehicle
 
 VERB = "calibrate"
 RECEIVER, WHEELS = "gnss.receiver_delay_s", "wheels.delay_s"
-AHEAD, LEFT = "antenna ahead", "antenna left"
 PER_PULSE = "m_per_pulse"
 
 
@@ -76,9 +82,9 @@ def _absolute(ride: Ride, found: Calibration) -> Iterable[Figure]:
             constant = per_pulse[name]
             field, value, std = f"wheels.each.{name}.{PER_PULSE}", (1 + value) * constant, std
             std, unit = std * constant, "m"
-        elif field == "receiver delay":
+        elif field == RECEIVER_DELAY:
             field, value = RECEIVER, value + (gnss.receiver_delay_s if gnss is not None else 0.0)
-        elif field == "wheel delay":
+        elif field == WHEEL_DELAY:
             field, value = WHEELS, value + wheels.delay_s
         yield Figure(field=field, value=value, std=std, unit=unit)
 
@@ -113,11 +119,11 @@ def fragment(states: Iterable[State], details: Iterable[Detail]) -> str:
         gnss |= {"receiver_delay_s": of[RECEIVER].value, "delay_std_s": of[RECEIVER].std}
         std[RECEIVER] = of[RECEIVER].std
     notes = ["the antenna's height is as it was configured: a ride does not tell it"]
-    if AHEAD in of and LEFT in of and last.pivot_known:
-        arm = (of[AHEAD].value - last.pivot_m, of[LEFT].value, last.lever_arm_m[2])
+    if ANTENNA_AHEAD in of and ANTENNA_LEFT in of and last.pivot_known:
+        arm = (of[ANTENNA_AHEAD].value - last.pivot_m, of[ANTENNA_LEFT].value, last.lever_arm_m[2])
         gnss["lever_arm_m"] = list(arm)
-        std["gnss.lever_arm_m"] = (of[AHEAD].std, of[LEFT].std, math.inf)
-    elif AHEAD in of:
+        std["gnss.lever_arm_m"] = (of[ANTENNA_AHEAD].std, of[ANTENNA_LEFT].std, math.inf)
+    elif ANTENNA_AHEAD in of:
         notes = [
             "gnss.lever_arm_m is not here: the antenna is known from the point that does not slip "
             "sideways, and nobody has said where that is ($.ekf.pivot_m, $.ekf.pivot_std_m)"

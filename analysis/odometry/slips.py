@@ -24,6 +24,8 @@ SPREADS = 7.0
 LEAST_S = 0.15
 TREND_S = 9.0
 """A slip is shorter than half of it."""
+LEAST_WAY_M = 0.1
+"""Less is not told from a kerb, and what is wrongly mended adds up."""
 MARGIN_S = 0.3
 MOST_SHARE = 0.2
 """Of the ride that may be slips; more is something else."""
@@ -74,6 +76,9 @@ def _mended(
         ends = np.interp(t[first : last + 1], t[[first, last]], beside[[first, last]])
         true = felt[first : last + 1] + ends
         more = np.cumsum((speed[first : last + 1] - true) * step[first : last + 1])
+        if abs(float(more[-1])) < LEAST_WAY_M:
+            slipping[begin:end] = False
+            continue
         extra[first : last + 1] += more
         extra[last + 1 :] += more[-1]
         slips.append(Slip(one.name, float(t[first]), float(t[last]), float(more[-1])))
