@@ -95,8 +95,9 @@ class Nominal:
         return 2 if self.share[1] > 0.0 else 1
 
     def mean_scale(self, constants: Array) -> float:
-        """x̄."""
-        return float(self.share[0] * constants[0] + self.share[1] * constants[1])
+        """x̄ of the mean of what was counted: the larger wheel counts less, so it is harmonic."""
+        one, other = self.share
+        return 1.0 / float(one / (1.0 + constants[0]) + other / (1.0 + constants[1])) - 1.0
 
     def error_stds(self, scale: float) -> tuple[Array, Array]:
         """Deviations of e and ē: what does not show within τ is taken for slow."""

@@ -37,6 +37,8 @@ from tramstream.processors.consistency.way import Course
 BEFORE, AFTER = 24, 12
 """Windows to either side of the instant that is judged: 12 s and 6 s."""
 COUNT = BEFORE + AFTER + 2
+EVERY = 3
+"""Windows between instants that are judged: a second and a half."""
 CONFIRMED = 8
 """Windows without a better instant, after which it is said."""
 LIMIT = 90.0
@@ -112,6 +114,7 @@ class MovedMemory:
     best: list[float] = field(default_factory=list)
     """Time, turn, deviations and score of the best instant so far."""
     waited: int = 0
+    unjudged: int = 0
     found: list[float] = field(default_factory=list)
     """The last change that was said, as `Change.numbers`; it holds until somebody calibrates."""
 
@@ -139,7 +142,11 @@ class Moved:
             return None
         for kept in (memory.ends_s, memory.means, memory.turned, memory.biases):
             del kept[:-COUNT]
-        self._judge(path)
+        memory.waited += 1
+        memory.unjudged += 1
+        if memory.unjudged >= EVERY:
+            memory.unjudged = 0
+            self._judge(path)
         return self._said()
 
     def told(self, now_s: float, origin: str) -> list[Event]:
@@ -207,7 +214,6 @@ class Moved:
         C = turned[BEFORE].T @ turned
         motion = self._motion(values, a, speed)
         found = self._turn(values[:, :3], C, motion, float(ends[-1]))
-        memory.waited += 1
         if found is None:
             return
         if found[-1] > max(LIMIT, memory.best[-1] if memory.best else 0.0):
