@@ -17,7 +17,7 @@ and each fix at t:
     p_{k+1} − p_k = e^{i(ψ̄ − ψ̄_g)} (P_{k+1} − P_k)(1 + x̄)           creep, side slip
     ψ_{k+1} − ψ_k = Δψ_g (1 + g) − b Δt                               N, and standing: 0
     (1 + w) l_t Δψ = s_B (1 + x_B) − s_A (1 + x_A)                    two wheels
-    b, e, ē walk and decay as the filter has them (docs/theory.md, 5.4 and 6.3)
+    b, e, ē walk and decay as the filter has them (docs/theory.md, sections 5.4 and 6.3)
     fix(t + τ) = p(t) + e^{iψ} l + e + ē,      velocity(t + τ) = e^{iψ} (v (1 + x̄) + i ω l)
 
 Gauss and Newton go on until nothing changes; each round weighs residuals as Student's t does. The

@@ -42,7 +42,7 @@ EVERY = 3
 CONFIRMED = 8
 """Windows without a better instant, after which it is said."""
 LIMIT = 90.0
-"""Of δᵀ Σ⁻¹ δ. By `reproduce`-like study, docs/calibration.md, *An IMU that was moved*."""
+"""Of δᵀ Σ⁻¹ δ; set by tests/analysis/test_calibration_study.py (docs/calibration.md)."""
 LEAST_DEG = 0.3
 FLOOR_MPS2 = 0.02
 """No window is known better: springs, kerbs, what turns about other axes."""
