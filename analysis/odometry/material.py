@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from google.protobuf.message import Message
 from numpy.typing import NDArray
 
 from tramstream import keys
@@ -199,7 +200,10 @@ class _Wheel:
 def _others(
     record: Record, vehicle: Vehicle, origin_ns: int
 ) -> tuple[tuple[WheelWay, ...], FixColumns]:
-    types = {keys.ODO_WHEELS.path: Odometry, keys.GNSS_FIX.path: GnssFix}
+    types: dict[str, type[Message]] = {
+        keys.ODO_WHEELS.path: Odometry,
+        keys.GNSS_FIX.path: GnssFix,
+    }
     topics = {
         topic
         for topic in record.channels

@@ -144,7 +144,8 @@ class Nominal:
         velocity = here * (f.speed + 1j * f.rate * lever)
         way = (1.0 + self.mean_scale(constants)) * turn * f.step
         p = x[k, Slot.EAST] + 1j * x[k, Slot.NORTH]
-        return f.place - (p + way + here * lever - velocity * constants[5])
+        off: Complex = f.place - (p + way + here * lever - velocity * constants[5])
+        return off
 
     def fix_error(self, x: Array, constants: Array, stated: Stated) -> float:
         """Size of the fixes' error over what is stated, by how it changes along the way.
@@ -154,8 +155,8 @@ class Nominal:
         k = self.fixes.node
         off = self._left(x, constants)
         count = np.maximum(np.bincount(k, minlength=len(self.time_s)), 1)
-        mean = np.bincount(k, off.real, len(self.time_s)) / count
-        mean = mean + 1j * np.bincount(k, off.imag, len(self.time_s)) / count
+        east = np.bincount(k, off.real, len(self.time_s)) / count
+        mean = east + 1j * np.bincount(k, off.imag, len(self.time_s)) / count
         there = np.bincount(k, minlength=len(self.time_s)) > 0
         there &= np.concatenate([~self.standing, [True]])
         lag = max(round(self.tau_s / NODE_S), 1)

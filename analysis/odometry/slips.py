@@ -41,7 +41,7 @@ class Slip(NamedTuple):
     """That the wheel turned beyond the vehicle's way; negative for a slide."""
 
 
-def mended(way: Way, level: Level) -> tuple[Way, list[Slip], Array]:
+def mended(way: Way, level: Level) -> tuple[Way, list[Slip], NDArray[np.bool_]]:
     """Ways without slips, the slips, and at each mean whether there was one."""
     wheels, slips = [], []
     any_ = np.zeros(len(level.time_s), dtype=bool)

@@ -322,7 +322,7 @@ def _fitted(y: Array, q: Array, drift: Array, prior: Array, turned: Array) -> tu
         off = np.sqrt(((y - A @ x) ** 2).sum(axis=1))
         spread = max(float(np.median(off)) / 1.538, FLOOR_MPS2)
         weight = np.minimum(1.0, CLIP * spread / np.maximum(off, 1e-9))
-    return x, np.linalg.inv(N)[9:, 9:]
+    return x.astype(float), np.asarray(np.linalg.inv(N)[9:, 9:], dtype=float)
 
 
 def _scaled(size: Array) -> bool:
@@ -335,18 +335,18 @@ def _vector(R: Array) -> Array:
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = float(np.linalg.norm(axis))
     angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
-    return axis * (angle / sine) if sine > 1e-12 else axis
+    vector: Array = axis * (angle / sine) if sine > 1e-12 else axis
+    return vector
 
 
 def _exponential(turn: Array) -> Array:
     """Rotation by a vector (Rodrigues)."""
     angle = math.sqrt(float(turn @ turn))
     K = _cross(turn[None])[0]
+    made: Array = np.eye(3) + K
     if angle < 1e-9:
-        return np.eye(3) + K
-    made: Array = (
-        np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
-    )
+        return made
+    made = np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
     return made
 
 
