@@ -43,6 +43,7 @@ LIMITS = {"1": 0.005, "m": 1.0, "s": 0.05}
 """A figure of a larger deviation is not told."""
 GROSS = 0.25
 """A wheel that is further off is another unit: the check of the configuration names it."""
+FITTING = 0.12
 MOST_MISFIT = 2.0
 VERTICAL = "the antenna's height cannot be told from a ride: nothing in it leans enough"
 
@@ -115,7 +116,7 @@ def calibrate(ride: Ride) -> Calibration:
     apart = clocks.apart(behind, fixes_delay, third)
     gone = float(np.abs(np.diff(way.at(level.time_s))).sum())
     made = Calibration(
-        verdict=_gross(found, wheels) or moved or _misfit(found),
+        verdict=_gross(found, wheels) or (moved if _fitting(found) else "") or _misfit(found),
         clock=apart,
         slips=tuple(slips),
         fix_error=found.fix_error,
@@ -177,6 +178,11 @@ def _gross(found: Found, wheels: tuple[WheelWay, ...]) -> str:
         factors = ", ".join(f"{one.name} {1 + x:.3f}" for one, x in zip(wheels, used, strict=True))
         return f"the wheels' configured constant is another's ({factors} times): correct it first"
     return ""
+
+
+def _fitting(found: Found) -> bool:
+    """Whether the wheels are near enough to explain forces by them."""
+    return bool(np.all(np.abs(found.value[:2]) < FITTING))
 
 
 def _misfit(found: Found) -> str:

@@ -343,10 +343,10 @@ def _exponential(turn: Array) -> Array:
     """Rotation by a vector (Rodrigues)."""
     angle = math.sqrt(float(turn @ turn))
     K = _cross(turn[None])[0]
-    made: Array = np.eye(3) + K
-    if angle < 1e-9:
-        return made
-    made = np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
+    one, two = (1.0, 0.5)
+    if angle > 1e-9:
+        one, two = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    made: Array = np.eye(3) + one * K + two * (K @ K)
     return made
 
 

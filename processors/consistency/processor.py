@@ -41,8 +41,8 @@ AGAIN_S = 300.0
 """What holds is said again after so long."""
 RECENT = 40
 """Points of the way that a moment of driving needs: four seconds."""
-FITTING = math.log(1.25)
-"""Force over the wheels' acceleration, to either side."""
+FITTING = math.log(1.12)
+"""Force over the wheels' acceleration, to either side: a worn tyre is 8 % off."""
 LONG = 260
 """Points of the way that whether the IMU was moved needs: twenty-six seconds."""
 LONGEST_S = 0.1
