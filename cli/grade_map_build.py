@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from threading import Event
-
     from tramstream.analysis.grade_map.assemble import GradeMap
     from tramstream.analysis.grade_map.passes import Ride
     from tramstream.analysis.grade_map.record import Refused
-    from tramstream.cli.terminal.pool import Job
     from tramstream.tracks.network import Network
 
 
@@ -183,44 +180,20 @@ def _read(
 
 
 def _results(wanted: Sequence[Path], level_net: Path, workers: int) -> Iterator[Ride | Refused]:
-    """Rides as they are done, with one line of progress; after a signal no more.
-
-    A single one is read here, for another process would take seconds to begin.
-    """
-    from concurrent.futures.process import BrokenProcessPool
-
-    from rich.console import Console
-    from rich.progress import Progress
-
+    """Rides as they are done, with one line of progress; after a signal no more."""
     from tramstream.analysis.grade_map.record import ride_of
     from tramstream.cli.terminal import pool
-    from tramstream.cli.terminal.session import say, stop_on_signals
+    from tramstream.cli.terminal.session import say
     from tramstream.errors import MachineCodeError
     from tramstream.machine import compilation
 
     try:
-        compilation.ensure(say)  # once, and not in every process
+        compilation.ensure(say)  # a single ride is smoothed, too
     except MachineCodeError as error:
         say(f"{error}; what is needed is compiled on the way")
     jobs = [pool.Job(ride_of, (path, level_net)) for path in wanted]
-    alone = workers == 1 or len(wanted) == 1
-    stop = stop_on_signals()
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("rides", total=len(jobs))
-        try:
-            for _, result in _here(jobs, stop) if alone else pool.results(jobs, workers):
-                progress.advance(task)
-                yield result
-        except BrokenProcessPool:
-            say("a process was killed, perhaps for want of memory; fewer --workers take less")
-
-
-def _here(jobs: Sequence[Job], stop: Event) -> Iterator[tuple[Job, Any]]:
-    """Do the jobs in this process."""
-    for job in jobs:
-        if stop.is_set():
-            return
-        yield job, job.function(*job.arguments)
+    for _, result in pool.shown(jobs, workers, "rides"):
+        yield result
 
 
 def _figures(

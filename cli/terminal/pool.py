@@ -47,6 +47,38 @@ def results(jobs: Sequence[Job], most: int = 0) -> Iterator[tuple[Job, Any]]:
                 return
 
 
+def shown(jobs: Sequence[Job], most: int = 0, what: str = "jobs") -> Iterator[tuple[Job, Any]]:
+    """Each job with its result under one line of progress.
+
+    A single job, or one worker, stays in this process, for another would take seconds to begin.
+    """
+    from concurrent.futures.process import BrokenProcessPool
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tramstream.cli.terminal.session import say
+
+    alone = most == 1 or len(jobs) == 1
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=len(jobs))
+        try:
+            for done in _here(jobs) if alone else results(jobs, most):
+                progress.advance(task)
+                yield done
+        except BrokenProcessPool:
+            say("a process was killed, perhaps for want of memory; fewer --workers take less")
+
+
+def _here(jobs: Sequence[Job]) -> Iterator[tuple[Job, Any]]:
+    """Do the jobs in this process, until a signal."""
+    stop = stop_on_signals()
+    for job in jobs:
+        if stop.is_set():
+            return
+        yield job, job.function(*job.arguments)
+
+
 def _leave_signals() -> None:
     """Ctrl-C is for the parent alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -21,6 +21,38 @@ MOUNTING_TILTED = define(
     mounting_pitch_deg=float,
     mounting_yaw_deg=float,
 )
+MOUNTING_DIFFERS = define(
+    "configuration_check.mounting_differs",
+    "over {stands} stands gravity comes {tilt_deg} from where the mounting of {origin} puts up, "
+    "limit {limit_deg}; it is used on, as the last that was good",
+    cause="The IMU was moved or exchanged since it was calibrated. A line whose stops all lean to "
+    "one side shows less.",
+    cure="calibrate again (`tramstream align`); until then: " + _MOUNTING,
+    severity=ERROR,
+    stands=int,
+    tilt_deg=float,
+    limit_deg=float,
+    origin=str,
+    mounting_roll_deg=float,
+    mounting_pitch_deg=float,
+    mounting_yaw_deg=float,
+)
+MOUNT_CHANGED = define(
+    "configuration_check.mount_changed",
+    "the IMU was moved in the vehicle {ago_s} ago: its case is tilted by {tilt_deg} (± "
+    "{tilt_std_deg}) and turned about the vertical by {turned_deg} (± {turned_std_deg}); the "
+    "mounting of {origin} is used on, as the last that was good",
+    cause="A loose holder, or somebody worked on it. Nothing that the wheels and the gyroscopes "
+    "say of the motion explains how gravity and driving are read now.",
+    cure="fasten the IMU and calibrate again (`tramstream align`) by what comes after this instant",
+    severity=ERROR,
+    ago_s=float,
+    tilt_deg=float,
+    tilt_std_deg=float,
+    turned_deg=float,
+    turned_std_deg=float,
+    origin=str,
+)
 GRAVITY_WRONG = define(
     "configuration_check.gravity_wrong",
     "at a stand the accelerometers read {force_mps2} in all, gravity is {gravity_mps2}, limit "

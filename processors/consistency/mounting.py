@@ -32,6 +32,9 @@ GRAVITY_LIMIT_MPS2 = 0.5
 TILT_LIMIT_DEG = 8.0
 """The steepest tramways have 9 % (5°), cant at a stop is 100 mm at most (4°), a bias of 0.15 m/s²
 is 0.9°; by hand."""
+MANY_STANDS = 8
+MEAN_TILT_LIMIT_DEG = 3.0
+"""Stops lean by 1° to 2°, each its own way: the mean of eight by 0.7°; by hand."""
 TURN_LIMIT_DEG = 6.0
 """The filter learns what is less; by hand."""
 STDS = 4.0
@@ -86,6 +89,8 @@ class MountingMemory:
     last_mps2: list[float] = field(default_factory=list)
     up: list[float] = field(default_factory=list)
     """Direction of gravity's answer in the axes of the case, at the last stand that was judged."""
+    ups: list[float] = field(default_factory=list)
+    """Sum of `up` over all stands."""
     force_mps2: float = 0.0
     bias_radps: float = 0.0
     """Of the rate about the vertical, at the last stand."""
@@ -121,7 +126,7 @@ class Mounting:
     def restored(self) -> None:
         """Derive the levelling of the memory."""
         if self.memory.up:
-            self._level = _turn_upright(self._C_bv.T @ np.array(self.memory.up))
+            self._level = turn_upright(self._C_bv.T @ np.array(self.memory.up))
         x, y, z = (self._level @ self._C_bv.T)[2].tolist()
         self._vertical = (x, y, z)
 
@@ -165,6 +170,7 @@ class Mounting:
         memory.force_mps2 = float(np.linalg.norm(sums[:3]))
         memory.up = (sums[:3] / max(memory.force_mps2, 1e-9)).tolist()
         memory.stands += 1
+        memory.ups = [a + b for a, b in zip(memory.ups or [0.0] * 3, memory.up, strict=True)]
         self.restored()
         memory.bias_radps = 0.0
         memory.bias_radps = self.rate(*sums[3:].tolist())
@@ -173,8 +179,21 @@ class Mounting:
     @property
     def tilt_deg(self) -> float:
         """Between gravity and up as mounted, at the last stand."""
-        up = (self._C_bv.T @ np.array(self.memory.up))[2] if self.memory.up else 1.0
-        return math.degrees(math.acos(min(max(float(up), -1.0), 1.0)))
+        return self._tilt_deg(self.memory.up)
+
+    @property
+    def mean_tilt_deg(self) -> float:
+        """Between the mean of gravity over all stands and up as mounted."""
+        return self._tilt_deg(self.memory.ups)
+
+    def _tilt_deg(self, up: list[float]) -> float:
+        x, y, z = (self._C_bv.T @ np.array(up or self._C_bv[:, 2])).tolist()
+        return math.degrees(math.atan2(math.hypot(x, y), z))
+
+    @property
+    def mean_tilt_limit_deg(self) -> float:
+        """Of the mean over `MANY_STANDS`."""
+        return max(MEAN_TILT_LIMIT_DEG, STDS * self._tilt_std_deg)
 
     @property
     def tilt_limit_deg(self) -> float:
@@ -227,7 +246,7 @@ class Mounting:
         return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
 
-def _turn_upright(up: Array) -> Array:
+def turn_upright(up: Array) -> Array:
     """The least turn that takes a unit vector to z; half a turn about x where it points down."""
     c = float(up[2])
     if c < -1.0 + 1e-9:

@@ -25,11 +25,13 @@ from tramstream.processors.consistency.mounting import (
     BACKWARDS_RAD,
     GRAVITY_LIMIT_MPS2,
     GRAVITY_MPS2,
+    MANY_STANDS,
     STDS,
     Mounting,
     MountingMemory,
     Turn,
 )
+from tramstream.processors.consistency.moved import Moved, MovedMemory, origin_of
 from tramstream.processors.consistency.speeds import Fixes, Speeds, compared, lever
 from tramstream.processors.consistency.way import Course, Way, WayMemory
 from tramstream.processors.consistency.windows import Window, WindowMemory
@@ -39,6 +41,10 @@ AGAIN_S = 300.0
 """What holds is said again after so long."""
 RECENT = 40
 """Points of the way that a moment of driving needs: four seconds."""
+FITTING = math.log(1.12)
+"""Force over the wheels' acceleration, to either side: a worn tyre is 8 % off."""
+LONG = 260
+"""Points of the way that whether the IMU was moved needs: twenty-six seconds."""
 LONGEST_S = 0.1
 """No frame stands for a longer turning."""
 JUDGED_S = 5.0
@@ -91,6 +97,9 @@ class CheckMemory:
     way: WayMemory = field(default_factory=WayMemory)
     mounting: MountingMemory = field(default_factory=MountingMemory)
     window: WindowMemory = field(default_factory=WindowMemory)
+    moved: MovedMemory = field(default_factory=MovedMemory)
+    fitted: bool = False
+    """Whether the force of a departure was that of the wheels, as it is mounted."""
     fixes: FixesMemory = field(default_factory=FixesMemory)
     frame_s: float = 0.0
     judged_s: float = 0.0
@@ -120,6 +129,8 @@ class ConfigurationCheck(Processor):
         self._fixes = FixHistory(self._way, self.memory.fixes)
         imu = vehicle.imu
         self._mounting = Mounting(imu, self.memory.mounting) if imu is not None else None
+        self._moved = Moved(imu, self.memory.moved) if imu is not None else None
+        self._origin = origin_of(vehicle)
 
     def restored(self) -> None:
         if self._mounting is not None:
@@ -170,12 +181,29 @@ class ConfigurationCheck(Processor):
         if mean is None:
             memory.mounting.windows.clear()
             return []
-        if mounting.take(time_s, mean, self._still(time_s, moved_m)):
-            return self._judge_stand(mounting)
+        still = self._still(time_s, moved_m)
+        found = self._judge_moved(time_s, mean, still, mounting)
+        if mounting.take(time_s, mean, still):
+            return found + self._judge_stand(mounting)
         if memory.mounting.still:
-            return []
+            return found
         mounting.drive(Course(memory.way.path[-RECENT:]))
-        return self._judge_drive(mounting)
+        return found + self._judge_drive(mounting)
+
+    def _judge_moved(
+        self, time_s: float, mean: list[float], still: bool, mounting: Mounting
+    ) -> list[Event]:
+        moved, way = self._moved, self.memory.way
+        if moved is None:
+            return []
+        if time_s - way.read_s > FRESH_S:  # nobody says how the vehicle moves
+            moved.forget()
+            return []
+        change = moved.take(time_s, mean, still, Course(way.path[-LONG:]))
+        self.memory.fitted = self.memory.fitted or _fits(mounting)
+        if change is not None and self.memory.fitted:
+            moved.memory.found = list(change.numbers)
+        return moved.told(time_s, self._origin)
 
     def _still(self, time_s: float, moved_m: float) -> bool:
         """Whether wheels, or fixes where there are none, say that the vehicle stands."""
@@ -194,9 +222,19 @@ class ConfigurationCheck(Processor):
             return [own_events.GRAVITY_WRONG(force_mps2=force, **facts)]
         tilt, limit = mounting.tilt_deg, mounting.tilt_limit_deg
         if tilt <= limit:
-            return []
+            return self._judge_stands(mounting)
         angles = _angles(mounting.mounting_deg())
         return [own_events.MOUNTING_TILTED(tilt_deg=tilt, limit_deg=limit, **angles)]
+
+    def _judge_stands(self, mounting: Mounting) -> list[Event]:
+        """Judge the mean of many, each of which is within its own limit."""
+        stands = mounting.memory.stands
+        tilt, limit = mounting.mean_tilt_deg, mounting.mean_tilt_limit_deg
+        if stands < MANY_STANDS or tilt <= limit:
+            return []
+        facts = {"tilt_deg": tilt, "limit_deg": limit, "origin": self._origin}
+        angles = _angles(mounting.mounting_deg())
+        return [own_events.MOUNTING_DIFFERS(stands=stands, **facts, **angles)]
 
     def _judge_drive(self, mounting: Mounting) -> list[Event]:
         turn = mounting.turn()
@@ -336,6 +374,14 @@ class ConfigurationCheck(Processor):
         ]
         memory.late, memory.late_s = {}, time_s
         return found
+
+
+def _fits(mounting: Mounting) -> bool:
+    """Whether mounting and wheels agree, without which no force can be explained."""
+    turn = mounting.turn()
+    if turn is None or abs(math.degrees(turn.angle_rad)) > mounting.turn_limit_deg:
+        return False
+    return abs(math.log(turn.size)) < FITTING
 
 
 def _likely(factor: float, known: tuple[tuple[float, str], ...], unlike: str) -> str:

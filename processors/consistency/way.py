@@ -136,8 +136,8 @@ def _add(points: Points, time_s: float, value: float) -> None:
 class Course:
     """A history as a function of time, NaN where it has a gap."""
 
-    def __init__(self, points: Points) -> None:
-        rows = np.array(points, dtype=float).reshape(-1, 2)
+    def __init__(self, points: Points | Array) -> None:
+        rows = np.asarray(points, dtype=float).reshape(-1, 2)
         self._time_s, self._value = rows[:, 0], rows[:, 1]
 
     def __len__(self) -> int:
@@ -150,6 +150,13 @@ class Course:
         found: Array = np.interp(time_s, self._time_s, self._value, left=np.nan, right=np.nan)
         right = np.clip(np.searchsorted(self._time_s, time_s), 1, len(self) - 1)
         found[self._time_s[right] - self._time_s[right - 1] > PAUSE_S] = np.nan
+        return found
+
+    def held(self, time_s: Array) -> Array:
+        """Value at times where a gap is a stand: nothing has changed meanwhile."""
+        if not len(self):
+            return np.zeros(np.shape(time_s))
+        found: Array = np.interp(time_s, self._time_s, self._value)
         return found
 
     def rate(self, time_s: Array, over_s: float = 0.4) -> Array:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from tramstream.config import NotNegative, Positive, Struct
+from tramstream.config import NotNegative, Positive, Struct, Vector
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -112,6 +112,13 @@ class ImuSaturated(Fault, frozen=True, kw_only=True, tag="imu_saturated"):
     """That end; below 0 for the other one."""
 
 
+class ImuMoved(Fault, frozen=True, kw_only=True, tag="imu_moved"):
+    """The IMU's case is turned in the vehicle, all at once: its gyroscopes do not feel that."""
+
+    turned_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotation vector about the axes of the case."""
+
+
 class ImuLost(Fault, frozen=True, kw_only=True, tag="imu_lost"):
     """Samples get lost between sensor and record."""
 
@@ -184,6 +191,7 @@ AnyEvent = (
     | ImuStuck
     | ImuDead
     | ImuSaturated
+    | ImuMoved
     | ImuLost
     | GnssFrozen
     | GnssHold

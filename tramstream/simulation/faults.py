@@ -14,9 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tramstream import keys
 from tramstream.clock import S
 from tramstream.keys import Key
+from tramstream.mounting import matrix_of
 from tramstream.processor import Sample
 from tramstream.proto.raw_pb2 import ImuBatch, Odometry
 from tramstream.simulation.event_kinds import (
@@ -31,6 +35,7 @@ from tramstream.simulation.event_kinds import (
     GnssStated,
     ImuDead,
     ImuLost,
+    ImuMoved,
     ImuSaturated,
     ImuStuck,
     WheelsFrozen,
@@ -100,6 +105,34 @@ class _Axes(Stage):
 
 def _before(timed: Timed, batch: ImuBatch, row: int) -> bool:
     return batch.stamp_ns + round(row * batch.period_ns) < timed.start_ns
+
+
+class _Turned(Stage):
+    """A case that was turned: what it reads is turned the other way, and rounded again."""
+
+    key = keys.IMU_BATCH
+
+    def __init__(self, timed: Timed) -> None:
+        super().__init__(timed)
+        assert isinstance(timed.fault, ImuMoved)
+        turn = np.radians(timed.fault.turned_deg)
+        half = 0.5 * float(np.linalg.norm(turn))
+        x, y, z = (turn * (0.5 * np.sinc(half / np.pi))).tolist()
+        self._turn: NDArray[np.float64] = np.array(matrix_of((np.cos(half), x, y, z))).T
+
+    def _take(self, sample: Sample) -> list[Sample]:
+        batch: ImuBatch = sample.message
+        wrong = np.array([self.timed.lasts(each) for each in _instants_ns(batch)])
+        if not wrong.any():
+            return [sample]
+        changed = copied(batch)
+        for axes in (AXES[:3], AXES[3:]):
+            counts = np.array([getattr(batch, axis) for axis in axes])
+            counts[:, wrong] = np.rint(self._turn @ counts[:, wrong]).astype(int)
+            for axis, column in zip(axes, counts.tolist(), strict=True):
+                changed.ClearField(axis)
+                getattr(changed, axis).extend(column)
+        return [sample._replace(message=changed)]
 
 
 class _Lost(Stage):
@@ -259,6 +292,7 @@ _STAGES: dict[type[Fault], Callable[[Timed], Stage]] = {
     ImuStuck: _Axes,
     ImuDead: _Axes,
     ImuSaturated: _Axes,
+    ImuMoved: _Turned,
     ImuLost: _Lost,
     GnssFrozen: Repeated,
     GnssHold: Repeated,

@@ -6,6 +6,7 @@ vehicle is as the scenario says; what its configuration says is altered, or the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -24,6 +25,7 @@ from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.resampling.resampler import Resampler
 from tramstream.simulation import scenario
 from tramstream.simulation.body import Body
+from tramstream.simulation.event_kinds import ImuMoved
 from tramstream.simulation.scenario import Scenario
 from tramstream.simulation.simulation import EPOCH_NS, Simulation
 
@@ -176,6 +178,26 @@ def test_case_that_lies_on_its_side_and_is_turned_is_put_right_in_two_steps() ->
     kinds = [kind for kind, _, _ in found]
     assert kinds == [events.MOUNTING_TILTED.name, events.MOUNTING_TURNED.name]
     assert set_to(found[1][2], (90.0, 0.0, 60.0), 1) == []
+
+
+@pytest.mark.parametrize("turn", [(2.0, 0.0, 0.0), (0.0, -5.0, 0.0), (20.0, 15.0, 10.0)])
+def test_case_that_is_moved_on_the_way_is_said_with_the_instant_and_the_turn(
+    turn: tuple[float, float, float],
+) -> None:
+    """It is said within fifteen seconds; the instant is found within two, the tilt within 1°."""
+    moved_s = STOOD_S + 36.0
+    event = ImuMoved(start_s=moved_s, duration_s=1000.0, turned_deg=turn)
+    found = [
+        (time_s, facts)
+        for kind, time_s, facts in told(altered(base(), events=(event,)))
+        if kind == events.MOUNT_CHANGED.name
+    ]
+    ((time_s, facts),) = found
+    assert time_s < moved_s + 15.0
+    assert time_s - facts["ago_s"] == pytest.approx(moved_s, abs=2.0)
+    # The cases of the city's trams are turned by 90° about the vertical: x and y change places.
+    assert facts["tilt_deg"] == pytest.approx(math.hypot(*turn[:2]), abs=1.5)
+    assert facts["origin"] == "the configuration"
 
 
 def test_force_in_another_unit_is_said_at_the_first_stand() -> None:

@@ -1,0 +1,1 @@
+"""Many records of many vehicles: which they are, one table of what was found, what has changed."""

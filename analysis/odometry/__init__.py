@@ -1,0 +1,1 @@
+"""Wheel constants, antenna, delays and slip periods out of ordinary rides."""
