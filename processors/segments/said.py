@@ -1,0 +1,88 @@
+"""A place on a line as it is published."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from tramstream.processors.segments.place import Place, PlaceFinder
+from tramstream.proto.estimate_pb2 import LinePlace
+from tramstream.tracks.signature import STEP_M
+
+PLACED_PROBABILITY, KEPT_PROBABILITY = 0.9, 0.5
+"""A place is named when it is that sure, and no more when it is less sure than the second."""
+PLACED_STD_M = 15.0
+OFF_PROBABILITY = 0.95
+LEAST_STD_M = 0.5
+"""A line's chainage is no better known."""
+
+
+class Said(NamedTuple):
+    """The message, and what else is known of the place."""
+
+    message: LinePlace
+    destination: str
+    geodetic: tuple[float, float] | None
+    """Latitude and longitude, rad, where a place is named."""
+
+
+def said(finder: PlaceFinder, way_m: float, state: int) -> Said:
+    """Say where the vehicle is now, `way_m` along its own x.
+
+    Parameters
+    ----------
+    state : int
+        That was said before.
+    """
+    memory = finder.memory
+    message = LinePlace(off_probability=memory.none, gone_m=memory.gone_m)
+    places = finder.places()
+    if not places:
+        message.state = LinePlace.SEARCHING
+        return Said(message, "", None)
+    best = places[0]
+    since_m = way_m - memory.way_m
+    line = finder.signatures[best.line]
+    at_m = _now(best, since_m)
+    message.state = _state(best, memory.none, state)
+    message.line, message.direction = line.line, line.direction
+    message.chainage_m = at_m
+    message.chainage_std_m = math.hypot(best.std_m, LEAST_STD_M)
+    message.probability = min(best.probability, 1.0)
+    message.line_probability = min(float(finder.of_lines()[best.line]), 1.0)
+    message.wheel_scale, message.wheel_scale_std = best.scale, best.scale_std
+    message.reversed = best.way * _direction(finder) < 0.0
+    for other in places[1:]:
+        of = finder.signatures[other.line]
+        message.alternatives.add(
+            line=of.line,
+            direction=of.direction,
+            chainage_m=_now(other, since_m),
+            chainage_std_m=math.hypot(other.std_m, LEAST_STD_M),
+            probability=other.probability,
+        )
+    geodetic = None
+    if len(line.plan):
+        row = line.plan[min(max(round(at_m / STEP_M), 0), len(line.plan) - 1)]
+        message.latitude_deg, message.longitude_deg = map(math.degrees, row.tolist())
+        if message.state == LinePlace.PLACED:
+            geodetic = (float(row[0]), float(row[1]))
+    destination = line.stop_names[-1] if line.stop_names else line.direction
+    return Said(message, destination, geodetic)
+
+
+def _now(place: Place, since_m: float) -> float:
+    return place.at_m + place.way * since_m * (1.0 + place.scale)
+
+
+def _direction(finder: PlaceFinder) -> float:
+    """1 where the vehicle's last motion was along its x."""
+    return finder.memory.direction
+
+
+def _state(best: Place, none: float, before: int) -> LinePlace.State.ValueType:
+    if none > OFF_PROBABILITY:
+        return LinePlace.OFF_LINE
+    least = KEPT_PROBABILITY if before == LinePlace.PLACED else PLACED_PROBABILITY
+    sure = best.probability > least and best.std_m < PLACED_STD_M
+    return LinePlace.PLACED if sure else LinePlace.SEARCHING
