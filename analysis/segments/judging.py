@@ -77,9 +77,7 @@ def stops(ride: Ridden, said: Sequence[SegmentEvent]) -> Stops:
         end.append(best[1] - last)
         if max(abs(best[0] - first), abs(best[1] - last)) <= TIME_S:
             hits += 1
-    return Stops(
-        hits, len(truth) - hits, len(seen) - hits, np.array(begin), np.array(end)
-    )
+    return Stops(hits, len(truth) - hits, len(seen) - hits, np.array(begin), np.array(end))
 
 
 def turns(ride: Ridden, said: Sequence[SegmentEvent]) -> Turns:
@@ -98,9 +96,7 @@ def turns(ride: Ridden, said: Sequence[SegmentEvent]) -> Turns:
     gone_m = float(simulation.ride.motion(np.array([simulation.duration_s])).arc_length_m[0])
     angle, radius, true, true_radius, every = [], [], [], [], []
     missed, used = 0, set()
-    big = [
-        each for each in curves if abs(each.angle_rad) > TURN_RAD and each.end_m < gone_m - 15.0
-    ]
+    big = [each for each in curves if abs(each.angle_rad) > TURN_RAD and each.end_m < gone_m - 15.0]
     for curve in big:
         best = None
         for k, (begin, end, event) in enumerate(seen):

@@ -99,9 +99,7 @@ def ridden(
 ) -> Ridden:
     """Lay a ride on a line of a network ("7/0"), beside the map as rails are, or the built-in."""
     if line == BUILT_IN or network is None:
-        return Ridden(
-            line, Simulation(built_in_line(), scenario_of(world), seed, duration_s), None
-        )
+        return Ridden(line, Simulation(built_in_line(), scenario_of(world), seed, duration_s), None)
     route = next(each for each in network.lines if f"{each.line}/{each.direction}" == line)
     laid = lay(network, route_of(route), np.random.default_rng(seed + 1000), MapError())
     return Ridden(line, Simulation(laid.line, scenario_of(world), seed, duration_s), laid)

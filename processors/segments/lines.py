@@ -27,9 +27,7 @@ def signatures_of(vehicle: Vehicle, settings: SegmentsSettings) -> Lines:
     unread = None
     if vehicle.map is not None:
         try:
-            found += signature.of_network(
-                networks.load(Path(vehicle.map.network)), settings.lines
-            )
+            found += signature.of_network(networks.load(Path(vehicle.map.network)), settings.lines)
         except ConfigError as error:
             unread = (error.reason, error.cure)
         missing = [

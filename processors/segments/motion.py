@@ -172,9 +172,7 @@ class Motion:
             x_std * x_std + y_std * y_std + z_std * z_std,
         )
         still = memory.standing[St.STANDING] > 0.5
-        self._advance(
-            memory.x, memory.sums, reading, memory.C_vb, self._lever, dt_s, bool(still)
-        )
+        self._advance(memory.x, memory.sums, reading, memory.C_vb, self._lever, dt_s, bool(still))
         if memory.sums[Sum.TIME] < EPOCH_S - 1e-3:
             return None
         return self._close(stamp_ns) if memory.aligned else self._align(stamp_ns)

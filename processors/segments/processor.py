@@ -9,6 +9,7 @@ that follows them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from tramstream import keys
@@ -38,6 +39,7 @@ from tramstream.processors.segments.settings import SegmentsSettings
 from tramstream.proto.estimate_pb2 import LinePlace
 from tramstream.proto.raw_pb2 import Landmark
 from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.tracks.signature import Signature
 
 SAID_EVERY_NS = S // 2
 STAND_S = 8.0
@@ -82,19 +84,21 @@ class SegmentFinder(Processor):
     Memory = SegmentsMemory
     memory: SegmentsMemory
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, lines: Sequence[Signature] = ()) -> None:
+        """Follow a vehicle; `lines` are looked for beside those that its configuration names."""
         super().__init__(vehicle)
         settings, memory = self.settings, self.memory
         self._motion = Motion(vehicle, settings, memory.motion)
         self._ledger = Ledger(self._motion, math.radians(settings.least_turn_deg), memory.ledger)
         self._areas = Areas(settings.areas, memory.areas)
-        lines = signatures_of(vehicle, settings)
-        self._unread = lines.unread
+        read = signatures_of(vehicle, settings)
+        self._unread = read.unread
         self._finder: PlaceFinder | None = None
-        if lines.signatures:
+        known = [*lines, *read.signatures]
+        if known:
             body = (vehicle.ekf.pivot_m, vehicle.ekf.bogie_distance_m)
             self._finder = PlaceFinder(
-                lines.signatures, body, settings.scale_std, settings.heading_noise, memory.place
+                known, body, settings.scale_std, settings.heading_noise, memory.place
             )
 
     def step(self, sample: Sample) -> list[Sample]:
