@@ -13,6 +13,7 @@ from tramstream.cli.figures.options import Options
 WORKS = (
     *("konecny2004", "kaspar2023", "chladek2023"),
     *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance", "grade"),
+    "pusman2017",
 )
 
 

@@ -13,7 +13,7 @@ from tramstream.analysis.segments.rides import Ridden
 from tramstream.clock import S
 from tramstream.proto.estimate_pb2 import LinePlace, SegmentEvent
 from tramstream.simulation.simulation import EPOCH_NS
-from tramstream.tracks.signature import Signature, curves_of
+from tramstream.tracks.signature import Signature, curves_of_line
 
 Array = NDArray[np.float64]
 
@@ -84,8 +84,7 @@ def turns(ride: Ridden, said: Sequence[SegmentEvent]) -> Turns:
     """Judge the turns against the curves of the true line, in order of time."""
     simulation = ride.simulation
     line = simulation.line
-    at = np.arange(math.floor(line.length_m) + 1, dtype=float)
-    curves = curves_of(line.yaw_rad(at))
+    curves = curves_of_line(line)
     pivot_m = simulation.vehicle.ekf.pivot_m
     seen = []
     for each in said:
@@ -227,10 +226,7 @@ def _mark_s(ride: Ridden) -> float:
     """When the second turn above 30° or the second stop has been gone, whichever comes first."""
     simulation = ride.simulation
     line = simulation.line
-    at = np.arange(math.floor(line.length_m) + 1, dtype=float)
-    turned = [
-        each.end_m for each in curves_of(line.yaw_rad(at)) if abs(each.angle_rad) > math.pi / 6
-    ]
+    turned = [each.end_m for each in curves_of_line(line) if abs(each.angle_rad) > math.pi / 6]
     dwells = simulation.ride.dwells_s
     marks = [float(dwells[2, 0])] if len(dwells) > 2 else []
     if len(turned) > 1:

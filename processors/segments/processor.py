@@ -117,6 +117,16 @@ class SegmentFinder(Processor):
         made += self._place(epoch)
         return made + self._troubles(epoch)
 
+    @property
+    def gone_m(self) -> float:
+        """Way gone, whichever way."""
+        return self._motion.gone_m
+
+    @property
+    def lines(self) -> tuple[Signature, ...]:
+        """Lines that are looked for."""
+        return self._finder.signatures if self._finder is not None else ()
+
     # Place ---------------------------------------------------------------------------------------
     def _place(self, epoch: Epoch) -> list[Sample]:
         finder, memory, motion = self._finder, self.memory, self._motion

@@ -37,7 +37,7 @@ class SegmentsSettings(Struct, frozen=True, kw_only=True):
     direction); empty: all of them. Without a section [map] that has lines, and without
     `signatures`, no place is looked for."""
     signatures: tuple[str, ...] = ()
-    """Files of lines that `tramstream segments learn` has made of rides."""
+    """Files of lines that `tramstream learn-line` has made of rides."""
     scale_std: Positive = 0.03
     """How well the wheels' way is known where no place has told it yet, as a part of it. Both
     sides of it are looked at up to three times that."""

@@ -13,7 +13,7 @@ from enum import IntEnum
 from tramstream.estimation.kalman import Array, compiled
 
 LIMIT_PER_M = 1.0 / 300.0
-WINDOW_M = 4
+WINDOW_M = 2
 """Shorter than the tightest curves' transitions; over it a body's sway is gone."""
 GAP_M = 3.0
 HALF = WINDOW_M // 2

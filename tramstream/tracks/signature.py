@@ -124,7 +124,7 @@ class Signature:
         return Piece(begin_m, end_m, end - begin, curve=False)
 
 
-WINDOW_M = 4
+WINDOW_M = 2
 """Of way, over which curvature is taken; as of the processor."""
 
 
@@ -133,6 +133,17 @@ def curves_of(yaw_rad: Array, window: int = WINDOW_M) -> list[Piece]:
     half = window // 2
     curvature = np.zeros(len(yaw_rad))
     curvature[half:-half] = (yaw_rad[window:] - yaw_rad[:-window]) / (window * STEP_M)
+    return _curves(yaw_rad, curvature, STEP_M)
+
+
+def curves_of_line(line: Line) -> list[Piece]:
+    """Curves of an exact line, by its curvature itself."""
+    at = np.arange(0.0, line.length_m, 0.1)
+    return _curves(line.yaw_rad(at), line.curvature_per_m(at), 0.1)
+
+
+def _curves(yaw_rad: Array, curvature: Array, step_m: float) -> list[Piece]:
+    """Where curvature keeps beyond the limit with one sign."""
     found: list[Piece] = []
     for sign in (1.0, -1.0):
         excess = sign * curvature - LIMIT_PER_M
@@ -140,25 +151,22 @@ def curves_of(yaw_rad: Array, window: int = WINDOW_M) -> list[Piece]:
         edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
         spans: list[list[float]] = []
         for edge in edges.tolist():
-            at = (edge + excess[edge] / (excess[edge] - excess[edge + 1])) * STEP_M
+            at = (edge + excess[edge] / (excess[edge] - excess[edge + 1])) * step_m
             if inside[edge + 1]:
-                if spans and at - spans[-1][1] < GAP_M and _one(curvature, sign, spans[-1][1], at):
-                    spans[-1].pop()
-                else:
-                    spans.append([at])
+                if spans and at - spans[-1][-1] < GAP_M:
+                    between = curvature[int(spans[-1][-1] / step_m) : int(at / step_m) + 2]
+                    if bool(np.all(sign * between > -LIMIT_PER_M)):
+                        spans[-1].pop()
+                        continue
+                spans.append([at])
             elif spans:
                 spans[-1].append(at)
         for span in spans:
             if len(span) == 2:
-                begin, end = np.interp(np.array(span) / STEP_M, np.arange(len(yaw_rad)), yaw_rad)
+                ends = np.array(span) / step_m
+                begin, end = np.interp(ends, np.arange(len(yaw_rad)), yaw_rad)
                 found.append(Piece(span[0], span[1], float(end - begin), curve=True))
     return sorted(found)
-
-
-def _one(curvature: Array, sign: float, begin_m: float, end_m: float) -> bool:
-    """Whether a gap in a curve has no curve to the other side in it."""
-    between = curvature[math.floor(begin_m / STEP_M) : math.ceil(end_m / STEP_M) + 1]
-    return bool(np.all(sign * between > -LIMIT_PER_M))
 
 
 # Where they come from -----------------------------------------------------------------------------

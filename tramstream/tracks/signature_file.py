@@ -111,5 +111,5 @@ def _sound(arrays: dict[str, np.ndarray]) -> bool:
 def _no_signature(path: Path) -> ConfigError:
     return ConfigError(
         f"{path}: is no signature of a line, or a damaged one",
-        cure="`tramstream segments learn` makes it anew",
+        cure="`tramstream learn-line` makes it anew",
     )

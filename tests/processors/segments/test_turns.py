@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -112,6 +113,6 @@ def test_pieces_of_a_line_cover_it_without_gap() -> None:
     pieces = of_line(line).pieces()
     assert pieces[0].begin_m == 0.0
     assert pieces[-1].end_m == pytest.approx(of_line(line).length_m)
-    for one, other in zip(pieces, pieces[1:], strict=False):
+    for one, other in pairwise(pieces):
         assert one.end_m == other.begin_m
     assert sum(each.curve for each in pieces) == 2
