@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -198,7 +199,7 @@ def _passages(told: Told, lines: Sequence[Signature]) -> list[Passage]:
     placed = [each for each in told.places if each.state == LinePlace.PLACED]
     stands = [each for each in told.events if each.kind == SegmentEvent.STOP]
     found: list[Passage] = []
-    for one, other in zip(placed, placed[1:], strict=False):
+    for one, other in pairwise(placed):
         if (one.line, one.direction) != (other.line, other.direction):
             continue
         line = next((e for e in lines if e.name == f"{one.line}/{one.direction}"), None)

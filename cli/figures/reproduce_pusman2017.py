@@ -7,6 +7,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ def summary(rides: Sequence[Judged]) -> dict[str, Any]:
                 "angle_rms_deg": _rms(angle[inside]),
                 "radius_rms": _rms(every[inside]),
             }
-            for low, high in zip(ANGLES_DEG, ANGLES_DEG[1:], strict=False)
+            for low, high in pairwise(ANGLES_DEG)
             for inside in [(true >= low) & (true < high)]
         ],
     }

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from tramstream.machine.kernels import bound
 from tramstream.memory.annotations import VARYING
 from tramstream.processors.segments import particles as kernels
-from tramstream.processors.segments.particles import COLUMNS, STEP, Pt, Step
+from tramstream.processors.segments.particles import COLUMNS, Pt, Step
+from tramstream.tracks.signature import STEP_M as STEP
 from tramstream.tracks.signature import Signature
 
 Array = NDArray[np.float64]
@@ -58,6 +59,10 @@ TOGETHER_M = 30.0
 """Particles that are so near the likeliest place are one place with it."""
 ALTERNATIVES = 4
 LEAST_PROBABILITY = 0.01
+
+
+BESIDE_M = 10.0
+"""Between points of two directions that are compared; the headings tell the rest."""
 
 
 class Place(NamedTuple):
@@ -129,7 +134,8 @@ class PlaceFinder:
         self._stop_starts = np.cumsum(counts).astype(np.int64)
         self._lengths = np.array([each.length_m for each in signatures])
         self._stop_std_m = max(each.stop_std_m for each in signatures)
-        self._step = np.zeros(STEP)
+        self._others = [_other(self.signatures, k) for k in range(len(self.signatures))]
+        self._step = np.zeros(kernels.STEP)
         self._step[Step.LINE_STD] = noise * max(each.yaw_std_rad for each in signatures)
         empty = np.zeros((1, COLUMNS))
         self._move = bound(
@@ -153,11 +159,14 @@ class PlaceFinder:
         memory = self.memory
         if math.isnan(memory.way_m):
             memory.way_m, memory.yaw_rad, memory.yaw_variance = way_m, yaw_rad, yaw_variance
+            self._scatter()
         step_m = way_m - memory.way_m
         if abs(step_m) < STEP_M:
             return False
-        if not len(memory.particles):
-            self._scatter(step_m)
+        if memory.steps == 0 and step_m < 0.0:
+            memory.particles[:, Pt.WAY] *= -1.0  # the rear cab leads
+        elif memory.steps and step_m * memory.direction < 0.0:
+            self._turn_back()
         row, count = self._step, len(memory.particles)
         row[Step.WAY_M], row[Step.YAW] = step_m, yaw_rad
         row[Step.TURNED] = yaw_rad - memory.yaw_rad
@@ -180,11 +189,11 @@ class PlaceFinder:
     def _chance(self) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=self.memory.steps))
 
-    def _scatter(self, step_m: float) -> None:
+    def _scatter(self) -> None:
         """Begin everywhere."""
         memory = self.memory
         count = min(int(self._lengths.sum() / SPACING_M), MOST)
-        memory.particles = self._anywhere(count, self._chance(), math.copysign(1.0, step_m))
+        memory.particles = self._anywhere(count, self._chance(), 1.0)
         memory.weights = np.full(count, (1.0 - memory.none) / count)
 
     def _anywhere(self, count: int, rng: np.random.Generator, way: float) -> Array:
@@ -198,6 +207,45 @@ class PlaceFinder:
         made[:, Pt.WAY] = way * np.where(rng.random(count) < AGAINST, -1.0, 1.0)
         made[:, Pt.VARIANCE] = -1.0
         return made
+
+    def _turn_back(self) -> None:
+        """The other cab leads from here on: back on the same track, or on the other one beside it.
+
+        Half of the particles of each line go over to its other direction, to the nearest point.
+        """
+        memory = self.memory
+        rows, weights = memory.particles, memory.weights
+        over, over_weights = [], []
+        for k, line in enumerate(self.signatures):
+            other = self._others[k]
+            of = rows[:, Pt.LINE] == k
+            if other < 0 or not of.any():
+                continue
+            moved = rows[of].copy()
+            moved[:, Pt.AT_M] = self._beside(line, self.signatures[other], moved[:, Pt.AT_M])
+            moved[:, Pt.LINE] = other
+            moved[:, Pt.WAY] *= -1.0
+            moved[:, Pt.VARIANCE] = -1.0
+            over.append(moved)
+            over_weights.append(weights[of] / 2.0)
+            weights[of] /= 2.0
+        if over:
+            memory.particles = np.concatenate([rows, *over])
+            memory.weights = np.concatenate([weights, *over_weights])
+
+    @staticmethod
+    def _beside(line: Signature, other: Signature, at_m: Array) -> Array:
+        """Chainages on another line of the points that are nearest to those of a line."""
+        every = round(BESIDE_M / STEP)
+        points = other.plan[::every]
+        north = np.cos(points[0, 0])
+        grid = np.arange(0, len(line.plan), every)
+        here = line.plan[grid]
+        away = (here[:, None, 0] - points[None, :, 0]) ** 2
+        away += (north * (here[:, None, 1] - points[None, :, 1])) ** 2
+        nearest = away.argmin(axis=1) * every * STEP
+        beside: Array = np.interp(at_m, grid * STEP, nearest)
+        return beside
 
     # Weights -------------------------------------------------------------------------------------
     def _weigh(self, none: float) -> None:
@@ -341,3 +389,13 @@ class PlaceFinder:
         line = memory.particles[:, Pt.LINE].astype(np.int64)
         found: Array = np.bincount(line, memory.weights, minlength=len(self.signatures))
         return found
+
+
+def _other(lines: Sequence[Signature], number: int) -> int:
+    """Index of the other direction of a line whose plan is known; -1 if there is none."""
+    line = lines[number]
+    for k, other in enumerate(lines):
+        apart = other.direction != line.direction
+        if other.line == line.line and apart and len(other.plan) and len(line.plan):
+            return k
+    return -1

@@ -121,6 +121,7 @@ def test_stands_at_stops_tell_the_place_on_a_straight_line() -> None:
     straight = replace(line(), yaw_rad=np.zeros(3001), plan=np.zeros((0, 2)), stops_m=stops)
     found = finder(straight)
     way = 0.0
+    found.go(way, 0.0, 1e-9, 0.0)
     for begin, end in ((700.0, 1030.0), (1030.0, 1800.0), (1800.0, 2260.0)):
         found.stand(doors=True)
         for _ in range(round((end - begin) / 2.0)):
