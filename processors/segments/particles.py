@@ -55,6 +55,8 @@ class Step(IntEnum):
     """of what the heading has drifted by, and"""
     LINE_STD = 6
     """of the headings of lines, rad."""
+    BEFORE = 7
+    """What the heading has changed by in the step before."""
 
 
 STEP = len(Step)
@@ -68,9 +70,11 @@ ANGLE_PART = 0.06
 OUTLIER = 0.01
 OUTLIER_STD_RAD = 0.25
 """A map has a curve elsewhere now and then."""
-STRAIGHT = 0.65
-"""Share of steps in which a track in general is straight,"""
-STRAIGHT_STD_RAD = 0.008
+GOES_ON, GOES_ON_STD_RAD, GOES_ON_PART = 0.55, 0.010, 0.15
+"""Share of steps in which a track in general turns as in the step before, within so much and that
+part of it: a curve goes on, a straight does;"""
+STRAIGHT, STRAIGHT_STD_RAD = 0.25, 0.010
+"""in which it is straight,"""
 CURVED_STD_RAD = 0.09
 """and how much it turns in the others; lines 7 and 20, steps of 4 m."""
 TEMPER = 0.8
@@ -130,7 +134,7 @@ def move(
             p[Pt.OFFSET] = difference
             p[Pt.VARIANCE] = step[Step.LINE_STD] * step[Step.LINE_STD]
             p[Pt.DIFFERENCE] = difference
-            p[Pt.LOG_WEIGHT] += TEMPER * math.log(general(turned))
+            p[Pt.LOG_WEIGHT] += TEMPER * math.log(general(turned, step[Step.BEFORE]))
             continue
         p[Pt.VARIANCE] += drift
         H = 1.0 - keep
@@ -143,14 +147,18 @@ def move(
         p[Pt.VARIANCE] *= 1.0 - gain * H
         p[Pt.DIFFERENCE] = difference
         p[Pt.LOG_WEIGHT] += TEMPER * math.log(fits + wide)
-    return TEMPER * math.log(general(turned))
+    return TEMPER * math.log(general(turned, step[Step.BEFORE]))
 
 
 @compiled
-def general(turned: float) -> float:
-    """Density of what a track in general turns by within a step."""
-    straight = density(turned, math.hypot(STRAIGHT_STD_RAD, SWAY_STD_RAD))
-    return STRAIGHT * straight + (1.0 - STRAIGHT) * density(turned, CURVED_STD_RAD)
+def general(turned: float, before: float) -> float:
+    """Density of what a track in general turns by within a step after another."""
+    goes_on = math.hypot(GOES_ON_STD_RAD, GOES_ON_PART * before)
+    return (
+        GOES_ON * density(turned - before, goes_on)
+        + STRAIGHT * density(turned, STRAIGHT_STD_RAD)
+        + (1.0 - GOES_ON - STRAIGHT) * density(turned, CURVED_STD_RAD)
+    )
 
 
 @compiled

@@ -96,6 +96,8 @@ class PlaceMemory:
     """Along x and heading at the last step."""
     yaw_rad: float = 0.0
     yaw_variance: float = 0.0
+    turned_rad: float = 0.0
+    """Within the last step."""
     direction: float = 1.0
     """Of the last step along x."""
 
@@ -170,6 +172,7 @@ class PlaceFinder:
         row, count = self._step, len(memory.particles)
         row[Step.WAY_M], row[Step.YAW] = step_m, yaw_rad
         row[Step.TURNED] = yaw_rad - memory.yaw_rad
+        row[Step.BEFORE], memory.turned_rad = memory.turned_rad, yaw_rad - memory.yaw_rad
         row[Step.DRIFT_STD] = math.sqrt(max(yaw_variance - memory.yaw_variance, 1e-8))
         row[Step.WAY_STD] = WAY_STD_M * math.sqrt(abs(step_m)) + doubt * abs(step_m)
         row[Step.SCALE_STD] = 0.1 * doubt
