@@ -9,6 +9,7 @@ from tramstream.estimation.kalman import Array, compiled
 from tramstream.processors.segments.kernels import (
     SUMS,
     Ix,
+    Noise,
     Sum,
     predict,
     take_curve,
@@ -109,7 +110,7 @@ def epoch(
         take_curve(x, P, sums, H)
         if not math.isnan(wheels[Wh.SPEED]) and not take_wheels(x, P, H, wheels, sums[Sum.TIME]):
             found |= SLIPS
-    if go_on(x, t, g, now_s, turn):
+    if go_on(x, t, g, now_s, noise[Noise.SMEAR_M2], turn):
         found |= TURNED
     sums[:] = 0.0
     return found
@@ -130,7 +131,7 @@ def take_wheels(x: Array, P: Array, H: Array, wheels: Array, epoch_s: float) -> 
 
 
 @compiled
-def go_on(x: Array, t: Array, g: Array, now_s: float, turn: Array) -> bool:
+def go_on(x: Array, t: Array, g: Array, now_s: float, smear_m2: float, turn: Array) -> bool:
     """Sample the heading at each metre gone; whether a turn has ended."""
     if abs(x[Ix.SPEED]) > DIRECTION_MPS:
         g[Go.DIRECTION] = 1.0 if x[Ix.SPEED] > 0.0 else -1.0
@@ -143,7 +144,7 @@ def go_on(x: Array, t: Array, g: Array, now_s: float, turn: Array) -> bool:
         share = min(max((g[Go.SAMPLED_M] - begin_m) / step_m, 0.0), 1.0) if step_m > 0.0 else 1.0
         yaw = g[Go.YAW_RAD] + share * (x[Ix.YAW] - g[Go.YAW_RAD])
         time_s = g[Go.TIME_S] + share * (now_s - g[Go.TIME_S])
-        if take_metre(t, g[Go.SAMPLED_M], yaw, time_s, turn) == 1:
+        if take_metre(t, g[Go.SAMPLED_M], yaw, time_s, smear_m2, turn) == 1:
             ended = True
     g[Go.GONE_M] = end_m
     g[Go.WAY_M] = x[Ix.WAY]

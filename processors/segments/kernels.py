@@ -58,12 +58,14 @@ SUMS = len(Sum)
 
 
 class Noise(IntEnum):
-    """Densities of what drives the states, per root of a second."""
+    """Densities of what drives the states, per root of a second; and what smears turns."""
 
     FORCE = 0
     GYRO = 1
     GYRO_WALK = 2
     FORCE_WALK = 3
+    SMEAR_M2 = 4
+    """See `turns.take_metre`."""
 
 
 NOISES = len(Noise)

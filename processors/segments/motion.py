@@ -95,6 +95,8 @@ class Motion:
         self._noise[kernels.Noise.GYRO] = imu.gyro_noise_radps_rthz
         self._noise[kernels.Noise.GYRO_WALK] = imu.gyro_walk_radps2_rthz
         self._noise[kernels.Noise.FORCE_WALK] = imu.accel_walk_mps3_rthz
+        bogies_m = vehicle.ekf.bogie_distance_m
+        self._noise[kernels.Noise.SMEAR_M2] = bogies_m**2 + float(turns.WINDOW_M**2)
         self._reading = np.zeros(7)
         self.turn = np.zeros(turns.TURN)
         """The last turn that ended, a row of `turns.Turn`."""

@@ -50,7 +50,10 @@ AGAINST = 0.1
 WAY_STD_M = 0.03
 """Of a metre of way: creep, slip; it walks."""
 ROUGHEN_M, ROUGHEN_SCALE = 0.25, 0.0006
-"""What is added to those that are drawn again, so that no two are the same."""
+"""What is added to those that are drawn again, so that no two are the same; more, by the root of
+how many were one, where few have come through: a thousand heirs of one know its scale no better
+than it did."""
+ROUGHEN_MOST = 8.0
 STAND_SHARE = 0.6
 """Of stands without doors that are at stops,"""
 STAND_DOORS_SHARE = 0.95
@@ -146,7 +149,8 @@ class PlaceFinder:
         self._near = bound(
             kernels.near_stops, empty, self._stops, self._stop_starts, 6.0, 0.5, 400.0
         )
-        self._resample = bound(kernels.resample, empty, np.zeros(1), 0.5, empty)
+        origin = np.zeros(1, dtype=np.int64)
+        self._resample = bound(kernels.resample, empty, np.zeros(1), 0.5, empty, origin)
 
     # Ways ----------------------------------------------------------------------------------------
     def go(self, way_m: float, yaw_rad: float, yaw_variance: float, doubt: float) -> bool:
@@ -308,9 +312,13 @@ class PlaceFinder:
         if not birth and wanted > 0.7 * count and effective > 0.3 * count:
             return
         out = np.zeros((min(wanted, MOST), COLUMNS))
-        self._resample(memory.particles, weights / max(on, 1e-300), float(rng.random()), out)
-        out[:, Pt.AT_M] += ROUGHEN_M * rng.standard_normal(len(out))
-        out[:, Pt.SCALE] += ROUGHEN_SCALE * rng.standard_normal(len(out))
+        origin = np.zeros(len(out), dtype=np.int64)
+        share = weights / max(on, 1e-300)
+        self._resample(memory.particles, share, float(rng.random()), out, origin)
+        heirs = np.bincount(origin, minlength=count)[origin]
+        more = np.minimum(np.sqrt(heirs), ROUGHEN_MOST)
+        out[:, Pt.AT_M] += ROUGHEN_M * more * rng.standard_normal(len(out))
+        out[:, Pt.SCALE] += ROUGHEN_SCALE * more * rng.standard_normal(len(out))
         new = np.full(len(out), on / len(out))
         if birth:
             out, new = self._give_birth(out, new, rng)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tramstream.geodesy import LocalLevel
 from tramstream.lines.line import Line, Segment, curve
-from tramstream.processors.segments.turns import ROWS, TURN, Turn, take_metre
-from tramstream.tracks.signature import LIMIT_PER_M, curves_of, of_line
+from tramstream.processors.segments.turns import ROWS, TURN, WINDOW_M, Turn, take_metre
+from tramstream.tracks.signature import LIMIT_PER_M, curves_of, curves_of_line, of_line
 
 Array = NDArray[np.float64]
 
@@ -23,11 +23,11 @@ DEGREE = math.radians(1.0)
 CM = 0.01
 
 
-def seen(yaw_rad: Array) -> list[Array]:
+def seen(yaw_rad: Array, smear_m2: float = 0.0) -> list[Array]:
     """Turns of headings each metre."""
     t, out, found = np.zeros(ROWS), np.zeros(TURN), []
     for k, yaw in enumerate(yaw_rad.tolist()):
-        if take_metre(t, float(k), yaw, 0.1 * k, out) == 1:
+        if take_metre(t, float(k), yaw, 0.1 * k, smear_m2, out) == 1:
             found.append(out.copy())
     return found
 
@@ -62,6 +62,21 @@ def test_turn_of_an_arc_has_its_angle_and_radius(radius_m: float, angle_deg: flo
     assert turn[Turn.END_M] - turn[Turn.BEGIN_M] == pytest.approx(way, abs=1.0)
     assert turn[Turn.BEGIN_M] == pytest.approx(50.0 + below, abs=0.6)
     assert turn[Turn.BEGIN_S] == pytest.approx(0.1 * turn[Turn.BEGIN_M], abs=1e-6)
+
+
+@pytest.mark.parametrize("radius_m", [25.0, 35.0, 50.0, 100.0])
+@pytest.mark.parametrize("clothoids", [True, False])
+def test_radius_of_a_body_on_bogies_is_that_of_the_track(radius_m: float, clothoids: bool) -> None:
+    """Its heading is smeared over 6.4 m, which would make an arc of 25 m a fifth wider."""
+    angle = math.radians(60.0)
+    k = 1.0 / radius_m
+    bend = curve(radius_m, angle) if clothoids else [Segment(radius_m * angle, k, k)]
+    line = line_of([Segment(50.0)], bend, [Segment(50.0)])
+    (turn,) = seen(of_line(line).seen_by(3.2, 6.4), 6.4**2 + WINDOW_M**2)
+    (exact,) = curves_of_line(line)
+    radius = (turn[Turn.END_M] - turn[Turn.BEGIN_M]) / abs(turn[Turn.ANGLE])
+    assert radius == pytest.approx(exact.radius_m, rel=0.05)
+    assert turn[Turn.ANGLE] == pytest.approx(exact.angle_rad, abs=0.5 * DEGREE)
 
 
 def test_curve_wider_than_the_limit_is_no_turn() -> None:
