@@ -32,11 +32,6 @@ class Areas:
         self.memory = memory
         self._areas = tuple(areas)
 
-    @property
-    def wanted(self) -> bool:
-        """Whether there are any."""
-        return bool(self._areas)
-
     def take(
         self, latitude_rad: float, longitude_rad: float, gone_m: float, stamp_ns: int, source: str
     ) -> list[SegmentEvent]:

@@ -85,9 +85,15 @@ PITCH_STD_RAD_RTS = 2e-4
 
 @compiled
 def advance(
-    x: Array, sums: Array, reading: Array, C_vb: Array, lever: Array, dt_s: float, standing: bool
-) -> None:
-    """Go on by one reading of the IMU.
+    x: Array,
+    sums: Array,
+    standing: Array,
+    mounting: Array,
+    dt_s: float,
+    rates: tuple[float, float, float],
+    forces: tuple[float, float, float],
+) -> float:
+    """Go on by one reading of the IMU; how long the epoch has lasted, s.
 
     Parameters
     ----------
@@ -95,20 +101,21 @@ def advance(
         Changed in place.
     sums : ndarray, shape (SUMS,)
         Of the epoch; changed in place.
-    reading : ndarray, shape (7,)
-        Angular rate and specific force of the case, rad/s and m/s², and the scatter of the latter.
-    C_vb : ndarray, shape (3, 3)
-        From the case into the vehicle, but for x[TURNED].
-    lever : ndarray, shape (3,)
-        Case from the point that does not slip sideways, in the vehicle, m.
+    standing : ndarray
+        The first of them is 1 while the vehicle stands.
+    mounting : ndarray, shape (4, 3)
+        C_vb, from the case into the vehicle but for x[TURNED], and below it the case from the point
+        that does not slip sideways, in the vehicle, m.
+    rates, forces : tuple of float
+        Of the case, rad/s and m/s².
     """
-    r, f = reading[:3], reading[3:6]
-    wx = C_vb[0, 0] * r[0] + C_vb[0, 1] * r[1] + C_vb[0, 2] * r[2] - x[Ix.GYRO_X]
-    wy = C_vb[1, 0] * r[0] + C_vb[1, 1] * r[1] + C_vb[1, 2] * r[2] - x[Ix.GYRO_Y]
-    wz = C_vb[2, 0] * r[0] + C_vb[2, 1] * r[1] + C_vb[2, 2] * r[2] - x[Ix.GYRO_Z]
-    cx = C_vb[0, 0] * f[0] + C_vb[0, 1] * f[1] + C_vb[0, 2] * f[2]
-    cy = C_vb[1, 0] * f[0] + C_vb[1, 1] * f[1] + C_vb[1, 2] * f[2]
-    cz = C_vb[2, 0] * f[0] + C_vb[2, 1] * f[1] + C_vb[2, 2] * f[2]
+    C_vb, lever = mounting[:3], mounting[3]
+    wx = C_vb[0, 0] * rates[0] + C_vb[0, 1] * rates[1] + C_vb[0, 2] * rates[2] - x[Ix.GYRO_X]
+    wy = C_vb[1, 0] * rates[0] + C_vb[1, 1] * rates[1] + C_vb[1, 2] * rates[2] - x[Ix.GYRO_Y]
+    wz = C_vb[2, 0] * rates[0] + C_vb[2, 1] * rates[1] + C_vb[2, 2] * rates[2] - x[Ix.GYRO_Z]
+    cx = C_vb[0, 0] * forces[0] + C_vb[0, 1] * forces[1] + C_vb[0, 2] * forces[2]
+    cy = C_vb[1, 0] * forces[0] + C_vb[1, 1] * forces[1] + C_vb[1, 2] * forces[2]
+    cz = C_vb[2, 0] * forces[0] + C_vb[2, 1] * forces[1] + C_vb[2, 2] * forces[2]
     turned = x[Ix.TURNED]
     fx = cx - turned * cy - x[Ix.FORCE_X] + lever[0] * (wz * wz + wy * wy)
     fy = cy + turned * cx - x[Ix.FORCE_Y] + lever[1] * (wz * wz + wx * wx)
@@ -123,15 +130,15 @@ def advance(
     sums[Sum.FORCE_X] += fx
     sums[Sum.FORCE_Y] += fy
     sums[Sum.FORCE_Z] += cz
-    sums[Sum.SCATTER] += reading[6]
-    if standing:
-        return
+    if standing[0] > 0.5:
+        return sums[Sum.TIME]
     x[Ix.YAW] += dt_s * level / cos_p
     x[Ix.PITCH] += dt_s * (cos_r * wy - sin_r * wz)
     x[Ix.ROLL] += dt_s * (wx + sin_p / cos_p * level)
     change = fx + GRAVITY * sin_p
     x[Ix.WAY] += dt_s * (x[Ix.SPEED] + 0.5 * dt_s * change)
     x[Ix.SPEED] += dt_s * change
+    return sums[Sum.TIME]
 
 
 @compiled

@@ -48,7 +48,8 @@ class MotionMemory:
     standing: Array = field(default_factory=lambda: np.zeros(standing.ROWS))
     turns: Array = field(default_factory=lambda: np.zeros(turns.ROWS))
     going: Array = field(default_factory=lambda: np.zeros(GOING))
-    C_vb: Array = field(default_factory=lambda: np.eye(3))
+    mounting: Array = field(default_factory=lambda: np.eye(4, 3))
+    """C_vb, and below it the case from the point that does not slip sideways, m."""
     wheels: WheelsMemory = field(default_factory=WheelsMemory)
     alignment: AlignmentMemory = field(default_factory=AlignmentMemory)
     begun_ns: int = 0
@@ -87,7 +88,7 @@ class Motion:
         memory.own = settings.mounting == "own"
         self._wheels = WheelReader(vehicle, memory.wheels)
         pivot_m = vehicle.ekf.pivot_m
-        self._lever = np.array(imu.lever_arm_m) + np.array([pivot_m, 0.0, 0.0])
+        memory.mounting[3] = np.array(imu.lever_arm_m) + np.array([pivot_m, 0.0, 0.0])
         self._noise = np.zeros(NOISES)
         self._noise[kernels.Noise.FORCE] = math.hypot(
             imu.accel_noise_mps2_rthz, vehicle.ekf.force_std_mps2_rthz
@@ -97,13 +98,15 @@ class Motion:
         self._noise[kernels.Noise.FORCE_WALK] = imu.accel_walk_mps3_rthz
         bogies_m = vehicle.ekf.bogie_distance_m
         self._noise[kernels.Noise.SMEAR_M2] = bogies_m**2 + float(turns.WINDOW_M**2)
-        self._reading = np.zeros(7)
+        self.rate_z = 0.0
+        """Yaw rate of the case at the end of the last epoch, rad/s."""
         self.turn = np.zeros(turns.TURN)
         """The last turn that ended, a row of `turns.Turn`."""
         work = np.zeros((2 * STATES + 3, STATES))
         x, P, sums = memory.x, memory.P, memory.sums
+        still, triple = memory.standing, (0.0, 0.0, 0.0)
         self._advance = bound(
-            kernels.advance, x, sums, self._reading, memory.C_vb, self._lever, 0.01, False
+            kernels.advance, x, sums, still, memory.mounting, 0.01, triple, triple
         )
         self._epoch = bound(
             epochs.epoch,
@@ -117,7 +120,7 @@ class Motion:
     # Beginning -----------------------------------------------------------------------------------
     def _begin(self, C_vb: Array, found: Found | None = None) -> None:
         memory, imu = self.memory, self._imu
-        memory.C_vb[:] = C_vb
+        memory.mounting[:3] = C_vb
         memory.aligned = True
         memory.x[Ix.SPEED :] = 0.0
         stds = np.zeros(STATES)
@@ -144,16 +147,16 @@ class Motion:
         """Forget the mounting, and find it on the run."""
         memory = self.memory
         memory.own, memory.aligned = True, False
-        memory.C_vb[:] = np.eye(3)
+        memory.mounting[:3] = np.eye(3)
         memory.x[Ix.SPEED :] = 0.0
 
     # Frames --------------------------------------------------------------------------------------
     def take(self, frame: SyncFrame) -> Epoch | None:
         """Take a frame; what an epoch has shown, where one ends with it."""
         memory = self.memory
-        if self._settings.wheels:
-            for odometry in frame.odometry:
-                self._wheels.take(odometry)
+        readings = frame.odometry
+        if readings and self._settings.wheels:
+            memory.wheels.latest = readings[-1]
         if not frame.HasField("imu"):
             return None
         imu, stamp_ns = frame.imu, frame.stamp_ns
@@ -161,23 +164,19 @@ class Motion:
         if not 0.0 < dt_s < PAUSE_S:
             return self._after_pause(stamp_ns)
         memory.stamp_ns = stamp_ns
-        reading = self._reading
-        x_std, y_std = imu.accel_x_std_mps2, imu.accel_y_std_mps2
-        z_std = imu.accel_z_std_mps2
-        reading[:] = (
-            imu.gyro_x_radps,
-            imu.gyro_y_radps,
-            imu.gyro_z_radps,
-            imu.accel_x_mps2,
-            imu.accel_y_mps2,
-            imu.accel_z_mps2,
-            x_std * x_std + y_std * y_std + z_std * z_std,
+        lasted_s = self._advance(
+            *(memory.x, memory.sums, memory.standing, memory.mounting, dt_s),
+            (imu.gyro_x_radps, imu.gyro_y_radps, imu.gyro_z_radps),
+            (imu.accel_x_mps2, imu.accel_y_mps2, imu.accel_z_mps2),
         )
-        still = memory.standing[St.STANDING] > 0.5
-        self._advance(memory.x, memory.sums, reading, memory.C_vb, self._lever, dt_s, bool(still))
-        if memory.sums[Sum.TIME] < EPOCH_S - 1e-3:
+        if lasted_s < EPOCH_S - 1e-3:
             return None
-        return self._close(stamp_ns) if memory.aligned else self._align(stamp_ns)
+        if not memory.aligned:
+            return self._align(stamp_ns)
+        self.rate_z = imu.gyro_z_radps
+        scatter = imu.accel_x_std_mps2**2 + imu.accel_y_std_mps2**2 + imu.accel_z_std_mps2**2
+        memory.sums[Sum.SCATTER] = scatter * memory.sums[Sum.COUNT]
+        return self._close(stamp_ns)
 
     def _after_pause(self, stamp_ns: int) -> None:
         memory = self.memory
@@ -258,11 +257,6 @@ class Motion:
     def gyro_noise(self) -> float:
         """Density of the gyroscopes, rad/s/√Hz."""
         return float(self._noise[kernels.Noise.GYRO])
-
-    @property
-    def rate_z(self) -> float:
-        """Yaw rate of the case at the last reading, rad/s."""
-        return float(self._reading[2])
 
     def std(self, state: Ix) -> float:
         """Deviation of a state."""

@@ -66,9 +66,9 @@ FADING_M = 30.0
 SWAY_STD_RAD = 0.004
 """Of the heading at each step: the body sways."""
 ANGLE_PART = 0.2
-"""Of a change of heading, the vehicle's or the line's: how a curve is drawn. Rails laid beside lines
-7 and 20 by `simulation/track_rides.py` turn by a third more or less than the map within 4 m of
-curves below 50 m, by 3.5 mrad elsewhere."""
+"""Of a change of heading, the vehicle's or the line's: how a curve is drawn. Rails laid beside
+lines 7 and 20 by `simulation/track_rides.py` turn by a third more or less than the map within 4 m
+of curves below 50 m, by 3.5 mrad elsewhere."""
 OUTLIER = 0.01
 OUTLIER_STD_RAD = 0.25
 """A map has a curve elsewhere now and then."""

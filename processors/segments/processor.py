@@ -38,7 +38,6 @@ from tramstream.processors.segments.said import Said, said
 from tramstream.processors.segments.settings import SegmentsSettings
 from tramstream.proto.estimate_pb2 import LinePlace
 from tramstream.proto.raw_pb2 import Landmark
-from tramstream.proto.sync_pb2 import SyncFrame
 from tramstream.tracks.signature import Signature
 
 SAID_EVERY_NS = S // 2
@@ -91,6 +90,7 @@ class SegmentFinder(Processor):
         self._motion = Motion(vehicle, settings, memory.motion)
         self._ledger = Ledger(self._motion, math.radians(settings.least_turn_deg), memory.ledger)
         self._areas = Areas(settings.areas, memory.areas)
+        self._fenced = bool(settings.areas)
         read = signatures_of(vehicle, settings)
         self._unread = read.unread
         self._finder: PlaceFinder | None = None
@@ -102,14 +102,14 @@ class SegmentFinder(Processor):
             )
 
     def step(self, sample: Sample) -> list[Sample]:
-        if sample.key is not keys.SYNC_FRAME and sample.key.path == keys.LANDMARK.path:
-            self.memory.landmarks.append(sample.message)
+        message = sample.message
+        if type(message) is Landmark:
+            self.memory.landmarks.append(message)
             return []
-        frame: SyncFrame = sample.message
-        epoch = self._motion.take(frame)
+        epoch = self._motion.take(message)
         made: list[Sample] = []
-        if self._areas.wanted and frame.gnss:
-            made += self._borders(areas.of_fixes(frame), "gnss", frame.stamp_ns)
+        if self._fenced and message.gnss:
+            made += self._borders(areas.of_fixes(message), "gnss", message.stamp_ns)
         if epoch is None:
             return made
         for event in self._ledger.take(epoch):

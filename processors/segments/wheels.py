@@ -40,6 +40,8 @@ class WheelsMemory:
     from_ns: int = 0
     moved_ns: int = 0
     """When they turned last."""
+    latest: Odometry | None = None
+    """The newest reading that has not been looked at: one an epoch is enough."""
     names: list[str] = field(default_factory=list)
     doors_ns: int = 0
     """When the doors were open last."""
@@ -64,7 +66,7 @@ class WheelReader:
     def take(self, odometry: Odometry) -> None:
         """Take a reading."""
         memory, path, names, speeds = self.memory, 0.0, [], []
-        for wheel in odometry.wheels:
+        for wheel in odometry.wheels[:]:
             if wheel.HasField("pulses"):
                 names.append(wheel.wheel)
                 path += wheel.pulses * self._m_per_pulse.get(wheel.wheel, self._default)
@@ -102,6 +104,9 @@ class WheelReader:
     def close(self, stamp_ns: int, change_mps2: float) -> Array:
         """The row of an epoch that ends at `stamp_ns`, with the mean change of speed in it."""
         memory, row = self.memory, self.memory.row
+        if memory.latest is not None:
+            self.take(memory.latest)
+            memory.latest = None
         row[Wh.SPEED] = row[Wh.STILL_S] = math.nan
         row[Wh.DOORS] = 1.0 if stamp_ns - memory.doors_ns < SILENT_S * S // 2 else 0.0
         if not memory.path_ns or stamp_ns - memory.path_ns > SILENT_S * S:
