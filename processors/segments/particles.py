@@ -72,10 +72,10 @@ of curves below 50 m, by 3.5 mrad elsewhere."""
 OUTLIER = 0.01
 OUTLIER_STD_RAD = 0.25
 """A map has a curve elsewhere now and then."""
-GOES_ON, GOES_ON_STD_RAD, GOES_ON_PART = 0.55, 0.010, 0.15
-"""Share of steps in which a track in general turns as in the step before, within so much and that
-part of it: a curve goes on, a straight does;"""
-STRAIGHT, STRAIGHT_STD_RAD = 0.25, 0.010
+GOES_ON, GOES_ON_PART = 0.9, 0.15
+"""Share of steps in which a track in general turns as in the step before, within that part of it
+and what a line that fits is off by: a straight that goes on speaks for no line;"""
+STRAIGHT = 0.04
 """in which it is straight,"""
 CURVED_STD_RAD = 0.09
 """and how much it turns in the others; lines 7 and 20, steps of 4 m."""
@@ -120,6 +120,7 @@ def move(
     fresh = step[Step.LINE_STD] * math.sqrt(max(1.0 - keep * keep, 1e-6))
     white = fresh * fresh + SWAY_STD_RAD * SWAY_STD_RAD
     drift = step[Step.DRIFT_STD] * step[Step.DRIFT_STD]
+    none = general(turned, step[Step.BEFORE], white)
     for i in range(particles.shape[0]):
         p = particles[i]
         line = int(p[Pt.LINE])
@@ -136,7 +137,7 @@ def move(
             p[Pt.OFFSET] = difference
             p[Pt.VARIANCE] = step[Step.LINE_STD] * step[Step.LINE_STD]
             p[Pt.DIFFERENCE] = difference
-            p[Pt.LOG_WEIGHT] += TEMPER * math.log(general(turned, step[Step.BEFORE]))
+            p[Pt.LOG_WEIGHT] += TEMPER * math.log(none)
             continue
         p[Pt.VARIANCE] += drift
         drawn = turned - difference + p[Pt.DIFFERENCE]
@@ -151,16 +152,16 @@ def move(
         p[Pt.VARIANCE] *= 1.0 - gain * H
         p[Pt.DIFFERENCE] = difference
         p[Pt.LOG_WEIGHT] += TEMPER * math.log(fits + wide)
-    return TEMPER * math.log(general(turned, step[Step.BEFORE]))
+    return TEMPER * math.log(none)
 
 
 @compiled
-def general(turned: float, before: float) -> float:
+def general(turned: float, before: float, white: float) -> float:
     """Density of what a track in general turns by within a step after another."""
-    goes_on = math.hypot(GOES_ON_STD_RAD, GOES_ON_PART * before)
+    std = math.sqrt(white)
     return (
-        GOES_ON * density(turned - before, goes_on)
-        + STRAIGHT * density(turned, STRAIGHT_STD_RAD)
+        GOES_ON * density(turned - before, math.hypot(std, GOES_ON_PART * before))
+        + STRAIGHT * density(turned, std)
         + (1.0 - GOES_ON - STRAIGHT) * density(turned, CURVED_STD_RAD)
     )
 

@@ -101,6 +101,8 @@ class PlaceMemory:
     yaw_variance: float = 0.0
     turned_rad: float = 0.0
     """Within the last step."""
+    sure_m: float = -1.0
+    """Way at which the likeliest place became sure; negative while it is not."""
     direction: float = 1.0
     """Of the last step along x."""
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from tramstream.processors.segments.place import Place, PlaceFinder
+from tramstream.processors.segments.place import Place, PlaceFinder, PlaceMemory
 from tramstream.proto.estimate_pb2 import LinePlace
 from tramstream.tracks.signature import STEP_M
 
 PLACED_PROBABILITY, KEPT_PROBABILITY = 0.9, 0.5
 """A place is named when it is that sure, and no more when it is less sure than the second."""
+KEEPS_M, KEEPS_AFTER_OFF_M = 80.0, 300.0
+"""It must have been that sure for so long: two curves that look like another line's are common;
+longer where no line has fitted before."""
 PLACED_STD_M = 15.0
 OFF_PROBABILITY = 0.95
 LEAST_STD_M = 0.5
@@ -38,13 +41,15 @@ def said(finder: PlaceFinder, way_m: float, state: int) -> Said:
     message = LinePlace(off_probability=memory.none, gone_m=memory.gone_m)
     places = finder.places()
     if not places:
-        message.state = LinePlace.SEARCHING
+        off = memory.none > OFF_PROBABILITY or state == LinePlace.OFF_LINE
+        message.state = LinePlace.OFF_LINE if off else LinePlace.SEARCHING
+        memory.sure_m = -1.0
         return Said(message, "", None)
     best = places[0]
     since_m = way_m - memory.way_m
     line = finder.signatures[best.line]
     at_m = _now(best, since_m)
-    message.state = _state(best, memory.none, state)
+    message.state = _state(best, memory, state)
     message.line, message.direction = line.line, line.direction
     message.chainage_m = at_m
     message.chainage_std_m = math.hypot(best.std_m, LEAST_STD_M)
@@ -80,9 +85,17 @@ def _direction(finder: PlaceFinder) -> float:
     return finder.memory.direction
 
 
-def _state(best: Place, none: float, before: int) -> LinePlace.State.ValueType:
-    if none > OFF_PROBABILITY:
+def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State.ValueType:
+    sure = best.probability > PLACED_PROBABILITY and best.std_m < PLACED_STD_M
+    if not sure:
+        memory.sure_m = -1.0
+    elif memory.sure_m < 0.0:
+        memory.sure_m = memory.gone_m
+    if memory.none > OFF_PROBABILITY:
         return LinePlace.OFF_LINE
-    least = KEPT_PROBABILITY if before == LinePlace.PLACED else PLACED_PROBABILITY
-    sure = best.probability > least and best.std_m < PLACED_STD_M
-    return LinePlace.PLACED if sure else LinePlace.SEARCHING
+    keeps_m = KEEPS_AFTER_OFF_M if before == LinePlace.OFF_LINE else KEEPS_M
+    if sure and memory.gone_m - memory.sure_m >= keeps_m:
+        return LinePlace.PLACED
+    if before == LinePlace.PLACED and best.probability > KEPT_PROBABILITY:
+        return LinePlace.PLACED
+    return LinePlace.OFF_LINE if before == LinePlace.OFF_LINE else LinePlace.SEARCHING
