@@ -37,6 +37,8 @@ SHIFT_M = 0.5
 HEADING_STD_RAD = 0.02
 SHIFT_COST = 2.0
 """Of a change by `SHIFT_M` within `LAID_M`: an eighth of the way is rare."""
+BEGIN_STD_M = 3.0
+"""Rides begin at the same stop."""
 STOP_NEAR_M = 25.0
 """Stands of several rides that are so near each other are at one stop."""
 STOP_SHARE = 0.5
@@ -118,7 +120,7 @@ def laid(reference: Array, yaw: Array) -> Array:
     heading = np.interp(at, np.arange(len(reference)), reference)
     off = (turned[:, None] - np.diff(heading, axis=0)) / HEADING_STD_RAD
     fits = np.minimum(0.5 * off**2, 12.0)  # a switch that was gone otherwise is no reason to jump
-    cost = 0.01 * np.abs(shifts) / SHIFT_M
+    cost = 0.5 * (shifts / BEGIN_STD_M) ** 2
     came = np.zeros(fits.shape, dtype=np.int8)
     for k in range(len(fits)):
         stay, left, right = cost, np.roll(cost, 1) + SHIFT_COST, np.roll(cost, -1) + SHIFT_COST

@@ -33,6 +33,8 @@ class Wh(IntEnum):
     """For how long they have been refused without a pause."""
     TAKEN = 5
     """Epochs in which they were taken."""
+    DEAD = 6
+    """1: they have stood still for so long while the vehicle ran; until they turn again."""
 
 
 WHEELS = len(Wh)
@@ -99,7 +101,14 @@ def epoch(
     standing = d[St.STANDING] > 0.5
     predict(x, P, sums, noise, standing, work)
     H = work[x.shape[0] * 2 : x.shape[0] * 2 + 2]
-    standing = stands(d, x, P, sums, now_s, wheels[Wh.STILL_S], wheels[Wh.DOORS] > 0.5)
+    still_s = wheels[Wh.STILL_S]
+    if still_s < sums[Sum.TIME]:
+        wheels[Wh.DEAD] = 0.0
+    elif wheels[Wh.REFUSED_S] > REFUSED_S:
+        wheels[Wh.DEAD] = 1.0
+    alive = wheels[Wh.DEAD] < 0.5
+    seen_s = still_s if alive else math.nan
+    standing = stands(d, x, P, sums, now_s, seen_s, wheels[Wh.DOORS] > 0.5)
     found = 0
     if standing:
         found |= STANDS
@@ -108,7 +117,8 @@ def epoch(
         wheels[Wh.REFUSED_S] = 0.0
     else:
         take_curve(x, P, sums, H)
-        if not math.isnan(wheels[Wh.SPEED]) and not take_wheels(x, P, H, wheels, sums[Sum.TIME]):
+        told = alive and not math.isnan(wheels[Wh.SPEED])
+        if told and not take_wheels(x, P, H, wheels, sums[Sum.TIME]):
             found |= SLIPS
     if go_on(x, t, g, now_s, noise[Noise.SMEAR_M2], turn):
         found |= TURNED

@@ -239,7 +239,8 @@ class Motion:
     def wheeled(self) -> bool:
         """Whether the wheels tell the way now."""
         row = self.memory.wheels.row
-        return not math.isnan(row[Wh.STILL_S]) and row[Wh.REFUSED_S] < epochs.REFUSED_S
+        refused = row[Wh.REFUSED_S] > epochs.REFUSED_S or row[Wh.DEAD] > 0.5
+        return not math.isnan(row[Wh.STILL_S]) and not refused
 
     @property
     def doubt(self) -> float:

@@ -61,7 +61,7 @@ class WheelReader:
         self._default = wheels.m_per_pulse
         self._delay_ns = round(wheels.delay_s * S)
         row = memory.row
-        row[Wh.DOORS] = row[Wh.REFUSED_S] = row[Wh.TAKEN] = 0.0
+        row[Wh.DOORS] = row[Wh.REFUSED_S] = row[Wh.TAKEN] = row[Wh.DEAD] = 0.0
 
     def take(self, odometry: Odometry) -> None:
         """Take a reading."""
