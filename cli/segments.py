@@ -78,16 +78,14 @@ def frames_of(record: Record, path: Path) -> Iterator[Sample]:
     from tramstream.processor import Sample
 
     count = 0
-    for entry, message in record.decoded(lambda topic: keys.split(topic)[1] == _FRAMES):
+    path_of = keys.SYNC_FRAME.path
+    for entry, message in record.decoded(lambda topic: keys.split(topic)[1] == path_of):
         count += 1
         yield Sample(keys.SYNC_FRAME, message, message.stamp_ns, message.sequence, entry.publish_ns)
     if not count:
         raise RecordError(
-            f"{path}: has no {_FRAMES}; make it with `tramstream reprocess {path} -o OUT`"
+            f"{path}: has no {path_of}; make it with `tramstream reprocess {path} -o OUT`"
         )
-
-
-_FRAMES = "sync/fusion/frame"
 
 
 def _refuse(out: Path | None, overwrite: bool) -> None:

@@ -20,7 +20,7 @@ from tramstream.machine.kernels import bound
 from tramstream.memory.annotations import VARYING
 from tramstream.processors.segments import particles as kernels
 from tramstream.processors.segments.particles import COLUMNS, Pt, Step
-from tramstream.tracks.signature import STEP_M as STEP
+from tramstream.processors.segments.turning_back import beside, other_of
 from tramstream.tracks.signature import Signature
 
 Array = NDArray[np.float64]
@@ -28,11 +28,11 @@ Rows = Annotated[NDArray[np.float64], VARYING]
 
 STEP_M = 4.0
 """Way between two looks at the heading."""
-SPACING_M = 2.0
+SPACING_M = 3.0
 """Between particles at the begin, all lines together;"""
-MOST, LEAST = 24_000, 1500
+MOST, LEAST = 12_000, 1200
 """so many at most, and at least when the place is known."""
-PER_CELL = 60
+PER_CELL = 40
 """Particles for each cell of `CELL_M` in which there are any that count."""
 CELL_M = 10.0
 NONE_PRIOR = 0.03
@@ -62,10 +62,6 @@ TOGETHER_M = 30.0
 """Particles that are so near the likeliest place are one place with it."""
 ALTERNATIVES = 4
 LEAST_PROBABILITY = 0.01
-
-
-BESIDE_M = 10.0
-"""Between points of two directions that are compared; the headings tell the rest."""
 
 
 class Place(NamedTuple):
@@ -141,7 +137,8 @@ class PlaceFinder:
         self._stop_starts = np.cumsum(counts).astype(np.int64)
         self._lengths = np.array([each.length_m for each in signatures])
         self._stop_std_m = max(each.stop_std_m for each in signatures)
-        self._others = [_other(self.signatures, k) for k in range(len(self.signatures))]
+        self._others = [other_of(self.signatures, k) for k in range(len(self.signatures))]
+        self._known: list[Place] | None = None
         self._step = np.zeros(kernels.STEP)
         self._step[Step.LINE_STD] = noise * max(each.yaw_std_rad for each in signatures)
         empty = np.zeros((1, COLUMNS))
@@ -231,7 +228,7 @@ class PlaceFinder:
             if other < 0 or not of.any():
                 continue
             moved = rows[of].copy()
-            moved[:, Pt.AT_M] = self._beside(line, self.signatures[other], moved[:, Pt.AT_M])
+            moved[:, Pt.AT_M] = beside(line, self.signatures[other], moved[:, Pt.AT_M])
             moved[:, Pt.LINE] = other
             moved[:, Pt.WAY] *= -1.0
             moved[:, Pt.VARIANCE] = -1.0
@@ -242,24 +239,10 @@ class PlaceFinder:
             memory.particles = np.concatenate([rows, *over])
             memory.weights = np.concatenate([weights, *over_weights])
 
-    @staticmethod
-    def _beside(line: Signature, other: Signature, at_m: Array) -> Array:
-        """Chainages on another line of the points that are nearest to those of a line."""
-        every = round(BESIDE_M / STEP)
-        points = other.plan[::every]
-        north = np.cos(points[0, 0])
-        grid = np.arange(0, len(line.plan), every)
-        here = line.plan[grid]
-        away = (here[:, None, 0] - points[None, :, 0]) ** 2
-        away += (north * (here[:, None, 1] - points[None, :, 1])) ** 2
-        nearest = away.argmin(axis=1) * every * STEP
-        beside: Array = np.interp(at_m, grid * STEP, nearest)
-        return beside
-
     # Weights -------------------------------------------------------------------------------------
     def _weigh(self, none: float) -> None:
         """Take the particles' log-weights into the weights, against that of none of the lines."""
-        memory = self.memory
+        memory, self._known = self.memory, None
         told = memory.particles[:, Pt.LOG_WEIGHT]
         most = max(float(told.max()), none)
         memory.weights = memory.weights * np.exp(told - most)
@@ -329,7 +312,7 @@ class PlaceFinder:
     def _cells(self, on: float) -> int:
         """How many cells hold what counts."""
         memory = self.memory
-        found = memory.weights > 1e-4 * on / len(memory.weights)
+        found = memory.weights > 1e-2 * on / len(memory.weights)
         rows = memory.particles[found]
         cell = np.floor(rows[:, Pt.AT_M] / CELL_M) + 1e5 * rows[:, Pt.LINE]
         return len(np.unique(cell))
@@ -352,7 +335,16 @@ class PlaceFinder:
 
     # Places --------------------------------------------------------------------------------------
     def places(self) -> list[Place]:
-        """Places that are possible now, likeliest first."""
+        """Places that were possible at the last step, likeliest first."""
+        if self._known is None:
+            self._known = self._places()
+        return self._known
+
+    def forget(self) -> None:
+        """Memory was put back: what was derived from it is none any more."""
+        self._known = None
+
+    def _places(self) -> list[Place]:
         memory = self.memory
         rows, weights = memory.particles, memory.weights.copy()
         if not len(rows):
@@ -402,13 +394,3 @@ class PlaceFinder:
         line = memory.particles[:, Pt.LINE].astype(np.int64)
         found: Array = np.bincount(line, memory.weights, minlength=len(self.signatures))
         return found
-
-
-def _other(lines: Sequence[Signature], number: int) -> int:
-    """Index of the other direction of a line whose plan is known; -1 if there is none."""
-    line = lines[number]
-    for k, other in enumerate(lines):
-        apart = other.direction != line.direction
-        if other.line == line.line and apart and len(other.plan) and len(line.plan):
-            return k
-    return -1

@@ -200,6 +200,10 @@ class SegmentFinder(Processor):
         passed = self._areas.take(*geodetic, self._motion.gone_m, stamp_ns, source)
         return [self.emit(keys.EST_SEGMENT, each, stamp_ns) for each in passed]
 
+    def restored(self) -> None:
+        if self._finder is not None:
+            self._finder.forget()
+
     # Troubles ------------------------------------------------------------------------------------
     def _troubles(self, epoch: Epoch) -> list[Sample]:
         memory, motion, made = self.memory, self._motion, []
