@@ -35,7 +35,7 @@ MOST, LEAST = 12_000, 1200
 PER_CELL = 40
 """Particles for each cell of `CELL_M` in which there are any that count."""
 CELL_M = 10.0
-NONE_PRIOR = 0.03
+NONE_PRIOR = 0.01
 """That the vehicle is on none of the lines, at the begin;"""
 LEAVES_PER_M = 1e-5
 """that it leaves them, and"""

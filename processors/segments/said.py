@@ -16,6 +16,9 @@ KEEPS_M, KEEPS_AFTER_OFF_M = 80.0, 300.0
 longer where no line has fitted before."""
 PLACED_STD_M = 15.0
 OFF_PROBABILITY = 0.95
+OFF_M, OFF_KEEPS_M = 500.0, 200.0
+"""Before so much way nobody can say that no line fits: one place of many thousands is the right
+one, and the others do not fit. A curve that is drawn badly is over after the second."""
 LEAST_STD_M = 0.5
 """A line's chainage is no better known."""
 
@@ -41,7 +44,9 @@ def said(finder: PlaceFinder, way_m: float, state: int) -> Said:
     message = LinePlace(off_probability=memory.none, gone_m=memory.gone_m)
     places = finder.places()
     if not places:
-        off = memory.none > OFF_PROBABILITY or state == LinePlace.OFF_LINE
+        off = (
+            memory.none > OFF_PROBABILITY and memory.gone_m > OFF_M
+        ) or state == LinePlace.OFF_LINE
         message.state = LinePlace.OFF_LINE if off else LinePlace.SEARCHING
         memory.sure_m = -1.0
         return Said(message, "", None)
@@ -91,7 +96,7 @@ def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State.Val
         memory.sure_m = -1.0
     elif memory.sure_m < 0.0:
         memory.sure_m = memory.gone_m
-    if memory.none > OFF_PROBABILITY:
+    if _off(memory):
         return LinePlace.OFF_LINE
     keeps_m = KEEPS_AFTER_OFF_M if before == LinePlace.OFF_LINE else KEEPS_M
     if sure and memory.gone_m - memory.sure_m >= keeps_m:
