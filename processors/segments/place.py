@@ -99,6 +99,8 @@ class PlaceMemory:
     """Within the last step."""
     sure_m: float = -1.0
     """Way at which the likeliest place became sure; negative while it is not."""
+    off_m: float = -1.0
+    """Way at which no line fitted any more; negative while one does."""
     direction: float = 1.0
     """Of the last step along x."""
 

@@ -44,9 +44,7 @@ def said(finder: PlaceFinder, way_m: float, state: int) -> Said:
     message = LinePlace(off_probability=memory.none, gone_m=memory.gone_m)
     places = finder.places()
     if not places:
-        off = (
-            memory.none > OFF_PROBABILITY and memory.gone_m > OFF_M
-        ) or state == LinePlace.OFF_LINE
+        off = _off(memory) or state == LinePlace.OFF_LINE
         message.state = LinePlace.OFF_LINE if off else LinePlace.SEARCHING
         memory.sure_m = -1.0
         return Said(message, "", None)
@@ -104,3 +102,13 @@ def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State.Val
     if before == LinePlace.PLACED and best.probability > KEPT_PROBABILITY:
         return LinePlace.PLACED
     return LinePlace.OFF_LINE if before == LinePlace.OFF_LINE else LinePlace.SEARCHING
+
+
+def _off(memory: PlaceMemory) -> bool:
+    """Whether no line has fitted for long enough to be said."""
+    if memory.none <= OFF_PROBABILITY:
+        memory.off_m = -1.0
+        return False
+    if memory.off_m < 0.0:
+        memory.off_m = memory.gone_m
+    return memory.gone_m > OFF_M and memory.gone_m - memory.off_m >= OFF_KEEPS_M
