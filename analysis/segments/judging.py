@@ -192,7 +192,9 @@ def places(ride: Ridden, said: Sequence[LinePlace], lines: Sequence[Signature]) 
     off = [k for k, each in enumerate(said) if each.state == LinePlace.OFF_LINE]
     gone = [each.gone_m for each in said]
     return Found(
-        *(float(np.mean(named <= limit)) if len(named) else 0.0 for limit in (3.0, 10.0, 30.0)),
+        _share(named, 3.0),
+        _share(named, 10.0),
+        _share(named, 30.0),
         gone[first] if first >= 0 else math.inf,
         float(error[first]) if first >= 0 else math.inf,
         first >= 0 and abs(float(error[first])) <= 30.0,
@@ -201,6 +203,10 @@ def places(ride: Ridden, said: Sequence[LinePlace], lines: Sequence[Signature]) 
         error[both],
         float(np.mean(np.abs(error[both]) <= 3.0 * std[both])) if both.any() else 0.0,
     )
+
+
+def _share(error_m: Array, limit_m: float) -> float:
+    return float(np.mean(error_m <= limit_m)) if len(error_m) else 0.0
 
 
 def _name(ride: Ridden) -> str:

@@ -122,7 +122,8 @@ def advance(
     sin_r, cos_r = math.sin(x[Ix.ROLL]), math.cos(x[Ix.ROLL])
     sin_p, cos_p = math.sin(x[Ix.PITCH]), math.cos(x[Ix.PITCH])
     level = sin_r * wy + cos_r * wz
-    sums[Sum.TIME] += dt_s
+    lasted_s: float = sums[Sum.TIME] + dt_s
+    sums[Sum.TIME] = lasted_s
     sums[Sum.COUNT] += 1.0
     sums[Sum.RATE_X] += wx
     sums[Sum.RATE_Y] += wy
@@ -131,14 +132,14 @@ def advance(
     sums[Sum.FORCE_Y] += fy
     sums[Sum.FORCE_Z] += cz
     if standing[0] > 0.5:
-        return sums[Sum.TIME]
+        return lasted_s
     x[Ix.YAW] += dt_s * level / cos_p
     x[Ix.PITCH] += dt_s * (cos_r * wy - sin_r * wz)
     x[Ix.ROLL] += dt_s * (wx + sin_p / cos_p * level)
     change = fx + GRAVITY * sin_p
     x[Ix.WAY] += dt_s * (x[Ix.SPEED] + 0.5 * dt_s * change)
     x[Ix.SPEED] += dt_s * change
-    return sums[Sum.TIME]
+    return lasted_s
 
 
 @compiled

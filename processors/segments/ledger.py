@@ -86,7 +86,7 @@ class Ledger:
         return event
 
     def _event(
-        self, kind: SegmentEvent.Kind.ValueType, start_ns: int, end_ns: int, at_m: float
+        self, kind: SegmentEvent.Kind, start_ns: int, end_ns: int, at_m: float
     ) -> SegmentEvent:
         wheeled = self._motion.wheeled
         return SegmentEvent(

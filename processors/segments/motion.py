@@ -162,7 +162,8 @@ class Motion:
         imu, stamp_ns = frame.imu, frame.stamp_ns
         dt_s = (stamp_ns - memory.stamp_ns) / S
         if not 0.0 < dt_s < PAUSE_S:
-            return self._after_pause(stamp_ns)
+            self._after_pause(stamp_ns)
+            return None
         memory.stamp_ns = stamp_ns
         lasted_s = self._advance(
             *(memory.x, memory.sums, memory.standing, memory.mounting, dt_s),

@@ -72,10 +72,10 @@ of curves below 50 m, by 3.5 mrad elsewhere."""
 OUTLIER = 0.01
 OUTLIER_STD_RAD = 0.25
 """A map has a curve elsewhere now and then."""
-GOES_ON, GOES_ON_PART = 0.8, 0.15
+GOES_ON, GOES_ON_PART = 0.7, 0.3
 """Share of steps in which a track in general turns as in the step before, within that part of it
 and what a line that fits is off by: a straight that goes on speaks for no line;"""
-STRAIGHT = 0.05
+STRAIGHT = 0.1
 """in which it is straight,"""
 CURVED_STD_RAD = 0.09
 """and how much it turns in the others; lines 7 and 20, steps of 4 m."""
@@ -172,7 +172,8 @@ def heading(yaw: Array, first: int, length: float, at_m: float) -> float:
     at = min(max(at_m, 0.0), length)
     cell = min(int(at), int(length) - 1)
     share = at - cell
-    return yaw[first + cell] * (1.0 - share) + yaw[first + cell + 1] * share
+    found: float = yaw[first + cell] * (1.0 - share) + yaw[first + cell + 1] * share
+    return found
 
 
 @compiled

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from tramstream.machine.kernels import bound
 from tramstream.memory.annotations import VARYING
 from tramstream.processors.segments import particles as kernels
 from tramstream.processors.segments.particles import COLUMNS, Pt, Step
+from tramstream.processors.segments.possible import Place, place_of
 from tramstream.processors.segments.turning_back import beside, other_of
 from tramstream.tracks.signature import Signature
 
@@ -54,6 +55,7 @@ ROUGHEN_M, ROUGHEN_SCALE = 0.25, 0.0006
 how many were one, where few have come through: a thousand heirs of one know its scale no better
 than it did."""
 ROUGHEN_MOST = 8.0
+ROUGHEN_MOST_SCALE = 20.0
 STAND_SHARE = 0.6
 """Of stands without doors that are at stops,"""
 STAND_DOORS_SHARE = 0.95
@@ -62,20 +64,6 @@ TOGETHER_M = 30.0
 """Particles that are so near the likeliest place are one place with it."""
 ALTERNATIVES = 4
 LEAST_PROBABILITY = 0.01
-
-
-class Place(NamedTuple):
-    """One place that is possible."""
-
-    line: int
-    """Index of the signatures."""
-    at_m: float
-    std_m: float
-    probability: float
-    scale: float
-    scale_std: float
-    way: float
-    """1: along the line's direction of use, as x of the vehicle points; -1: against."""
 
 
 @dataclass
@@ -270,6 +258,18 @@ class PlaceFinder:
         args = (self._stops, self._stop_starts, self._stop_std_m, share, apart_m)
         self._near(memory.particles, *args)
         self._weigh(0.0)
+        if memory.steps == 0:
+            self._begin_there()
+
+    def _begin_there(self) -> None:
+        """Draw as many as before where it may have begun, each with a scale of its own."""
+        memory, rng = self.memory, self._chance()
+        count, on = len(memory.weights), float(memory.weights.sum())
+        out, origin = np.zeros((count, COLUMNS)), np.zeros(count, dtype=np.int64)
+        self._resample(memory.particles, memory.weights / on, float(rng.random()), out, origin)
+        out[:, Pt.AT_M] += SPACING_M / 2.0 * rng.standard_normal(count)
+        out[:, Pt.SCALE] = self._scale_std * rng.standard_normal(count)
+        memory.particles, memory.weights = out, np.full(count, on / count)
 
     def pass_landmark(
         self, lines: Sequence[int], at_m: float, std_m: float, probability: float
@@ -303,9 +303,11 @@ class PlaceFinder:
         share = weights / max(on, 1e-300)
         self._resample(memory.particles, share, float(rng.random()), out, origin)
         heirs = np.bincount(origin, minlength=count)[origin]
-        more = np.minimum(np.sqrt(heirs), ROUGHEN_MOST)
-        out[:, Pt.AT_M] += ROUGHEN_M * more * rng.standard_normal(len(out))
-        out[:, Pt.SCALE] += ROUGHEN_SCALE * more * rng.standard_normal(len(out))
+        more = np.sqrt(heirs)
+        away = np.minimum(more, ROUGHEN_MOST) * rng.standard_normal(len(out))
+        out[:, Pt.AT_M] += ROUGHEN_M * away
+        longer = np.minimum(more, ROUGHEN_MOST_SCALE) * rng.standard_normal(len(out))
+        out[:, Pt.SCALE] += ROUGHEN_SCALE * longer
         new = np.full(len(out), on / len(out))
         if birth:
             out, new = self._give_birth(out, new, rng)
@@ -370,29 +372,14 @@ class PlaceFinder:
             share = weights[near]
             mean = float(share @ rows[near, Pt.AT_M]) / float(share.sum())
             near = (line == of) & (np.abs(rows[:, Pt.AT_M] - mean) < TOGETHER_M)
-            found.append(self._place(of, rows[near], weights[near]))
+            found.append(place_of(of, rows[near], weights[near]))
             weights[near] = 0.0
         return found
-
-    def _place(self, line: int, rows: Array, weights: Array) -> Place:
-        total = float(weights.sum())
-        share = weights / total
-        at = float(share @ rows[:, Pt.AT_M])
-        scale = float(share @ rows[:, Pt.SCALE])
-        way = float(share @ rows[:, Pt.WAY])
-        return Place(
-            line,
-            at,
-            math.sqrt(float(share @ (rows[:, Pt.AT_M] - at) ** 2)),
-            total,
-            scale,
-            math.sqrt(float(share @ (rows[:, Pt.SCALE] - scale) ** 2)),
-            1.0 if way >= 0.0 else -1.0,
-        )
 
     def of_lines(self) -> Array:
         """Probability of each line."""
         memory = self.memory
         line = memory.particles[:, Pt.LINE].astype(np.int64)
-        found: Array = np.bincount(line, memory.weights, minlength=len(self.signatures))
+        counts = np.bincount(line, memory.weights, minlength=len(self.signatures))
+        found: Array = counts.astype(np.float64)
         return found

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from tramstream.processors.segments.place import Place, PlaceFinder, PlaceMemory
+from tramstream.processors.segments.place import PlaceFinder, PlaceMemory
+from tramstream.processors.segments.possible import Place
 from tramstream.proto.estimate_pb2 import LinePlace
 from tramstream.tracks.signature import STEP_M
 
@@ -15,6 +16,8 @@ KEEPS_M, KEEPS_AFTER_OFF_M = 80.0, 300.0
 """It must have been that sure for so long: two curves that look like another line's are common;
 longer where no line has fitted before."""
 PLACED_STD_M = 15.0
+NONE_PROBABILITY = 0.8
+"""Nothing is named where it is likelier that no line fits."""
 OFF_PROBABILITY = 0.95
 OFF_M, OFF_KEEPS_M = 500.0, 200.0
 """Before so much way nobody can say that no line fits: one place of many thousands is the right
@@ -88,8 +91,12 @@ def _direction(finder: PlaceFinder) -> float:
     return finder.memory.direction
 
 
-def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State.ValueType:
-    sure = best.probability > PLACED_PROBABILITY and best.std_m < PLACED_STD_M
+def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State:
+    # Among all places on lines: where most do not fit, being on none of them looks likely at first.
+    share = best.probability / max(1.0 - memory.none, 1e-9)
+    sure = (
+        share > PLACED_PROBABILITY and best.std_m < PLACED_STD_M and memory.none < NONE_PROBABILITY
+    )
     if not sure:
         memory.sure_m = -1.0
     elif memory.sure_m < 0.0:
@@ -99,7 +106,7 @@ def _state(best: Place, memory: PlaceMemory, before: int) -> LinePlace.State.Val
     keeps_m = KEEPS_AFTER_OFF_M if before == LinePlace.OFF_LINE else KEEPS_M
     if sure and memory.gone_m - memory.sure_m >= keeps_m:
         return LinePlace.PLACED
-    if before == LinePlace.PLACED and best.probability > KEPT_PROBABILITY:
+    if before == LinePlace.PLACED and share > KEPT_PROBABILITY and memory.none < OFF_PROBABILITY:
         return LinePlace.PLACED
     return LinePlace.OFF_LINE if before == LinePlace.OFF_LINE else LinePlace.SEARCHING
 

@@ -102,7 +102,7 @@ def stands(
             leave(d, now_s - 2.0 * EPOCH_S)
     elif d[St.EPOCHS] >= WINDOW and (doors or quiet(d, x, P, mean, speed, std)):
         enter(d, now_s - LATE_S, mean[Sum.FORCE_X])
-    return d[St.STANDING] > 0.5
+    return bool(d[St.STANDING] > 0.5)
 
 
 @compiled
@@ -141,7 +141,7 @@ def quiet(d: Array, x: Array, P: Array, mean: Array, speed: float, std: float) -
             return False
     still, running = d[St.QUIET_LEVEL], d[St.RUNNING_LEVEL]
     if still != 0.0 and running != 0.0 and running - still > SEPARATION:
-        return d[St.LEVEL] < 0.5 * (still + running)
+        return bool(d[St.LEVEL] < 0.5 * (still + running))
     return True
 
 

@@ -191,4 +191,5 @@ def crossing(before: float, now: float) -> float:
 def between(t: Array, column: int, share: float) -> float:
     """A column of the samples, that far from the one before the window's middle to the middle."""
     middle = Tn.RING + COLUMNS * HALF + column
-    return t[middle - COLUMNS] + share * (t[middle] - t[middle - COLUMNS])
+    value: float = t[middle - COLUMNS] + share * (t[middle] - t[middle - COLUMNS])
+    return value

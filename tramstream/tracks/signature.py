@@ -194,7 +194,10 @@ def of_network(network: Network, chosen: Sequence[str] = ()) -> list[Signature]:
 
 
 def _of_route(network: Network, line: RouteLine) -> Signature:
-    chainage, yaw, plan, switches = [], [], [], []
+    chainage: list[Array] = []
+    yaw: list[Array] = []
+    plan: list[Array] = []
+    switches: list[float] = []
     offset = -line.begin_m
     for run in line.runs:
         track, backwards = run >> 1, run & 1

@@ -7,9 +7,11 @@ import os
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from tramstream.errors import ConfigError
 from tramstream.input_file import read_limited
@@ -92,13 +94,23 @@ def load(path: Path) -> Signature:
         msgspec.MsgspecError,
     ) as error:
         raise _no_signature(path) from error
-    told = msgspec.structs.asdict(names)
-    if told.pop("format") != FORMAT or not _sound(arrays):
+    if names.format != FORMAT or not _sound(arrays):
         raise _no_signature(path)
-    return Signature(**arrays, **told)
+    return Signature(
+        names.line,
+        names.direction,
+        arrays["yaw_rad"],
+        arrays["stops_m"],
+        names.stop_names,
+        arrays["switches_m"],
+        arrays["plan"],
+        names.yaw_std_rad,
+        names.stop_std_m,
+        names.rides,
+    )
 
 
-def _sound(arrays: dict[str, np.ndarray]) -> bool:
+def _sound(arrays: dict[str, NDArray[Any]]) -> bool:
     yaw, plan = arrays["yaw_rad"], arrays["plan"]
     flat = all(arrays[name].ndim == 1 for name in ARRAYS[:3])
     if not flat or not all(arrays[name].dtype == np.float64 for name in ARRAYS):
