@@ -168,7 +168,7 @@ class PlaceFinder:
         row[Step.BEFORE], memory.turned_rad = memory.turned_rad, yaw_rad - memory.yaw_rad
         row[Step.DRIFT_STD] = math.sqrt(max(yaw_variance - memory.yaw_variance, 1e-8))
         row[Step.WAY_STD] = WAY_STD_M * math.sqrt(abs(step_m)) + doubt * abs(step_m)
-        row[Step.SCALE_STD] = 0.1 * doubt
+        row[Step.SCALE_STD] = 0.02 * doubt
         memory.way_m, memory.yaw_rad, memory.yaw_variance = way_m, yaw_rad, yaw_variance
         memory.steps += 1
         memory.gone_m += abs(step_m)

@@ -43,6 +43,8 @@ from tramstream.tracks.signature import Signature
 SAID_EVERY_NS = S // 2
 STAND_S = 8.0
 """A stand of so long may be at a stop; where doors open, it is looked at when they do."""
+INERTIAL_SCALE_STD = 0.005
+"""Of a way by the IMU alone: its accelerometer's scale, and γ."""
 STUCK_S = 20.0
 """Seconds of motion in which no gyroscope gives the very same number."""
 MOVING_MPS = 3.0
@@ -97,9 +99,9 @@ class SegmentFinder(Processor):
         known = [*lines, *read.signatures]
         if known:
             body = (vehicle.ekf.pivot_m, vehicle.ekf.bogie_distance_m)
-            self._finder = PlaceFinder(
-                known, body, settings.scale_std, settings.heading_noise, memory.place
-            )
+            wheeled = vehicle.odometer is not None and settings.wheels
+            scale_std = settings.scale_std if wheeled else INERTIAL_SCALE_STD
+            self._finder = PlaceFinder(known, body, scale_std, settings.heading_noise, memory.place)
 
     def step(self, sample: Sample) -> list[Sample]:
         message = sample.message
