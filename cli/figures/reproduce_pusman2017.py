@@ -125,7 +125,7 @@ def summary(rides: Sequence[Judged]) -> dict[str, Any]:
         "turn_recall": seen / max(seen + unseen, 1),
         "turns_invented": sum(t.false for t in turns),
         "angle_rms_deg": float(np.sqrt(np.mean(angle**2))) if len(angle) else 0.0,
-        "radius_within_5_percent": float(np.mean(np.abs(radius) <= 0.05)) if len(radius) else 0.0,
+        "radius_within_5_percent": float(np.mean(np.abs(radius) <= 0.05)) if len(radius) else None,
         "radius_rms": float(np.sqrt(np.mean(radius**2))) if len(radius) else 0.0,
         "over_angle": [
             {
@@ -164,7 +164,8 @@ def _print(console: Console, found: Sequence[Judged]) -> None:
         table.add_column(head, justify="left" if head == "world" else "right", no_wrap=True)
     for world, made in _summaries(found).items():
         row = [world, f"{made['rides']}", f"{made['stops_f1']:.3f}", f"{made['turn_recall']:.3f}"]
-        row += [f"{made['angle_rms_deg']:.2f}°", f"{made['radius_within_5_percent']:.3f}"]
+        within = made["radius_within_5_percent"]
+        row += [f"{made['angle_rms_deg']:.2f}°", "" if within is None else f"{within:.3f}"]
         for name in ("within_3_m", "within_10_m", "within_30_m", "first_right", "first_in_1_km"):
             row.append(f"{made[name]:.3f}" if name in made else "")
         for name in ("right_line_from_half", "within_3_sigma"):
