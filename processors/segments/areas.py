@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tramstream.estimation.fixes import unusable
@@ -28,34 +28,34 @@ class AreasMemory:
 class Areas:
     """Says which borders a new place has passed."""
 
-    def __init__(self, areas: Sequence[Area], memory: AreasMemory) -> None:
+    def __init__(self, areas: Mapping[str, Area], memory: AreasMemory) -> None:
         self.memory = memory
-        self._areas = tuple(areas)
+        self._areas = dict(areas)
 
     def take(
         self, latitude_rad: float, longitude_rad: float, gone_m: float, stamp_ns: int, source: str
     ) -> list[SegmentEvent]:
         """Take a place; the borders that lie between it and the one before."""
         made, inside = [], self.memory.inside
-        for area in self._areas:
+        for name, area in self._areas.items():
             away_m = _away_m(area, latitude_rad, longitude_rad)
-            within = area.name in inside
+            within = name in inside
             margin_m = max((MARGIN - 1.0) * area.radius_m, LEAST_MARGIN_M) if within else 0.0
             if (away_m <= area.radius_m + margin_m) == within:
                 continue
             event = SegmentEvent(
                 kind=SegmentEvent.AREA_LEFT if within else SegmentEvent.AREA_ENTERED,
-                start_ns=inside.pop(area.name) if within else stamp_ns,
+                start_ns=inside.pop(name) if within else stamp_ns,
                 end_ns=stamp_ns,
-                start_m=self.memory.entered_m.pop(area.name, gone_m) if within else gone_m,
+                start_m=self.memory.entered_m.pop(name, gone_m) if within else gone_m,
                 end_m=gone_m,
                 probability=1.0,
-                name=area.name,
+                name=name,
                 inputs=[source],
             )
             if not within:
-                inside[area.name] = stamp_ns
-                self.memory.entered_m[area.name] = gone_m
+                inside[name] = stamp_ns
+                self.memory.entered_m[name] = gone_m
             made.append(event)
         return made
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 from tramstream.config import NotNegative, Positive, Struct
 
@@ -12,11 +12,9 @@ from tramstream.config import NotNegative, Positive, Struct
 class Area(Struct, frozen=True, kw_only=True):
     """A circle on the map whose borders are told when they are passed."""
 
-    name: str
-    """What it is called in `est/segments/event`."""
-    latitude_deg: Annotated[float, Meta(ge=-90, le=90)]
+    latitude_deg: Annotated[float, Meta(ge=-90, le=90)] = 0.0
     """Of the middle."""
-    longitude_deg: Annotated[float, Meta(ge=-180, le=180)]
+    longitude_deg: Annotated[float, Meta(ge=-180, le=180)] = 0.0
     """Of the middle."""
     radius_m: Positive = 50.0
     """From the middle to the border."""
@@ -43,5 +41,5 @@ class SegmentsSettings(Struct, frozen=True, kw_only=True):
     sides of it are looked at up to three times that."""
     heading_noise: Positive = 1.0
     """How far a line's headings may be off its rails, in times what maps and rides show."""
-    areas: tuple[Area, ...] = ()
-    """Places whose borders are told when they are passed."""
+    areas: dict[str, Area] = field(default_factory=dict)
+    """Places whose borders are told when they are passed, one section each; the name is free."""

@@ -182,14 +182,13 @@ def test_areas_are_entered_and_left_by_fixes() -> None:
     middle = np.degrees(level.to_geodetic(line.position_l(np.array([131.0])))[0])
     vehicle = with_segments(
         of.simulation.vehicle,
-        areas=[
-            {
-                "name": "stop 2",
+        areas={
+            "stop 2": {
                 "latitude_deg": float(middle[0]),
                 "longitude_deg": float(middle[1]),
                 "radius_m": 40.0,
             }
-        ],
+        },
     )
 
     def locate(frame: SyncFrame, _: float) -> None:
