@@ -29,8 +29,8 @@ PANELS = {
     "On the vehicle": ("demo", "init", "doctor", "run", "node", "record"),
     "Looking": ("top", "live", "list", "echo", "hz", "bw", "info", "config"),
     "Records": ("replay", "reprocess", "import", "export", "recover", "simulate"),
-    "Map": ("map", "grade-map"),
-    "Figures": ("evaluate", "report", "reproduce", "bench"),
+    "Map": ("map", "grade-map", "learn-line"),
+    "Figures": ("evaluate", "segments", "report", "reproduce", "bench"),
 }
 
 

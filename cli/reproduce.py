@@ -10,7 +10,7 @@ import typer
 
 from tramstream.cli.figures.options import Options
 
-PUBLISHED = ("konecny2004", "kaspar2023", "chladek2023", "melenovsky2023")
+PUBLISHED = ("konecny2004", "kaspar2023", "chladek2023", "melenovsky2023", "pusman2017")
 WORKS = (
     *PUBLISHED,
     *("drives", "matching", "receivers", "worlds", "day", "allan", "endurance", "grade"),

@@ -32,6 +32,7 @@ from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.matcher import Matcher
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.segments.processor import SegmentFinder
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.gnss_velocity import GnssVelocity
 from tramstream.processors.tram_model.track import TrackDistance, TrackGrade, TrackHeading
@@ -41,8 +42,12 @@ from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
 from tramstream.tracks.map_frame import MapFrame
 from tramstream.tracks.network import FORWARDS, Network
+from tramstream.tracks.signature import of_line
 
-PROCESSORS = (Resampler, DistanceFilter, LocalisationFilter, MapMatcher, GradeEstimator)
+PROCESSORS = (
+    *(Resampler, DistanceFilter, LocalisationFilter, MapMatcher, GradeEstimator),
+    SegmentFinder,
+)
 RIDE_S = 50.0
 """Standing, departure, alignment, a curve."""
 MAPPED_M = 600.0
@@ -51,7 +56,7 @@ MAPPED_M = 600.0
 
 def compile_all(first: int = 0) -> None:
     """Call all kernels once, beginning with part number `first`."""
-    parts = (_go_on_a_ride, _match, _measure)
+    parts = (_go_on_a_ride, _match, _measure, _find_place)
     for k in range(len(parts)):
         parts[(first + k) % len(parts)]()
 
@@ -79,6 +84,11 @@ def _match() -> None:
         values = values_of(motion, np.eye(7) * 0.01, 0.0, 0.0)
         mode = HEADING_UNKNOWN if k < 2 else TRACKING
         matcher.step(Estimate(1 + 200_000_000 * (k + 1), mode, values, standing=k < 2), frame)
+
+
+def _find_place() -> None:
+    """Compile what looks for a place on a line."""
+    SegmentFinder(Vehicle(vehicle="none"), [of_line(built_in_line())])
 
 
 def _measure() -> None:

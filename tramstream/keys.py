@@ -165,6 +165,9 @@ IMU_BYTES = define("raw/imu/bytes", raw_pb2.RawBytes, 10, "arrival", "IMU's byte
 IMU_BATCH = define("raw/imu/batch", raw_pb2.ImuBatch, 100, "first sample", "Inertial samples")
 ODO_FRAMES = define("raw/odo/frames", raw_pb2.CanFrames, 10, "arrival", "CAN frames as received")
 ODO_WHEELS = define("raw/odo/wheels", raw_pb2.Odometry, 50, "arrival", "Wheels, doors, motor force")
+LANDMARK = define(
+    "raw/landmark/passed", raw_pb2.Landmark, 0, "passing", "A place on a line that is known: beacon"
+)
 TRUTH_STATE = define(
     "raw/truth/state", raw_pb2.TruthState, 10, "state", "The truth, where it is known"
 )
@@ -225,6 +228,9 @@ EST_GRADE_PARAMETERS = define(
 EST_GRADE_LATE = define(
     "est/grade/late", sync_pb2.LateSample, 0, "late sample", "State or match that came too late"
 )
+EST_SEGMENT = define(
+    "est/segments/event", estimate_pb2.SegmentEvent, 0, "horizon", "Stop, turn, area: what was gone"
+)
 
 # map: where on the network ------------------------------------------------------------------------
 MAP_MATCH = define(
@@ -236,6 +242,9 @@ MAP_LOCATION = define(
 
 MAP_TRACK = define(
     "map/matcher/track", estimate_pb2.TrackGeometry, 10, "matched state", "The track, for filters"
+)
+MAP_PLACE = define(
+    "map/line/place", estimate_pb2.LinePlace, 2, "horizon", "Line and place by wheels and IMU alone"
 )
 
 # health: how the system is doing; one source a node -----------------------------------------------

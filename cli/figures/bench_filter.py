@@ -16,11 +16,13 @@ from tramstream.processor import Sample
 from tramstream.processors.consistency.processor import ConfigurationCheck
 from tramstream.processors.grade.processor import GradeEstimator
 from tramstream.processors.localisation.processor import LocalisationFilter
+from tramstream.processors.segments.processor import SegmentFinder
 from tramstream.processors.tram.navigation import Navigation
 from tramstream.processors.tram.navigation_memory import NavigationMemory
 from tramstream.proto.estimate_pb2 import MapMatch
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
+from tramstream.tracks.signature import of_line
 
 RIDE_S = 150.0
 GRADE_RIDE_S = 60.0
@@ -116,4 +118,29 @@ def _match(state: Sample) -> Sample:
     return Sample(keys.MAP_MATCH, message, state.stamp_ns, state.sequence)
 
 
-STAGES: dict[str, Callable[[], list[Figure]]] = {"ekf": ekf, "grade": grade}
+def segments() -> list[Figure]:
+    """Measure the processor of stops, turns and places: frames of `city`, a place being looked for.
+
+    `segments_us` is a frame's median, `segments_place_us` its mean over the ride with the built-in
+    line to look for, the search with no idea where it is included.
+    """
+    simulation = Simulation(built_in_line(), scenario.load("city"), 1, GRADE_RIDE_S)
+    made, vehicle = list(frames(simulation, [])), simulation.vehicle
+    alone = SegmentFinder(vehicle)
+    finder = SegmentFinder(vehicle, [of_line(simulation.line)])
+    median = median_us(alone.step, made)
+    started = time.perf_counter()
+    for frame in made:
+        finder.step(frame)
+    mean = 1e6 * (time.perf_counter() - started) / len(made)
+    return [
+        Figure("segments_us", median, 15.0, False),
+        Figure("segments_place_us", mean),
+    ]
+
+
+STAGES: dict[str, Callable[[], list[Figure]]] = {
+    "ekf": ekf,
+    "grade": grade,
+    "segments": segments,
+}

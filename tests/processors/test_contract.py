@@ -22,10 +22,12 @@ from tramstream.processors.grade.processor import GradeEstimator
 from tramstream.processors.localisation.processor import LocalisationFilter
 from tramstream.processors.matching.processor import MapMatcher
 from tramstream.processors.resampling.resampler import Resampler
+from tramstream.processors.segments.processor import SegmentFinder
 from tramstream.processors.warm_up import one_track
 from tramstream.recorder.reprocess.contract import ProcessorContract
 from tramstream.simulation import scenario
 from tramstream.simulation.simulation import Simulation
+from tramstream.tracks.signature import of_line
 
 LOW_MPS2 = 0.01
 """Limit that even a vehicle that stands exceeds again and again."""
@@ -124,6 +126,16 @@ class TestGradeEstimator(Contract):
         assert slopes[-1].edge
         last = slopes[-1].inputs
         assert {"accelerometer", "odometry", "gnss_height", "motor_force"} <= set(last)
+
+
+class TestSegmentFinder(Contract):
+    """With a line to look for, so that its particles are memory too."""
+
+    def make(self) -> list[Processor]:
+        return [Resampler(ride().vehicle), SegmentFinder(ride().vehicle, [of_line(ride().line)])]
+
+    def others(self) -> list[Processor]:
+        return [DistanceFilter(ride().vehicle)]
 
 
 class TestConfigurationCheck(Contract):

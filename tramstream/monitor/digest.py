@@ -203,6 +203,38 @@ def _grade(message: Any) -> str:
     return "  ".join([*parts, " ".join(message.inputs)]).rstrip()
 
 
+def _segment(message: Any) -> str:
+    kind = message.DESCRIPTOR.enum_types_by_name["Kind"].values_by_number[message.kind].name
+    parts = [kind.lower().replace("_", " ")]
+    if message.name:
+        parts.append(message.name)
+    if message.HasField("angle_rad"):
+        parts.append(f"{math.degrees(message.angle_rad):+.1f}°")
+        parts.append(f"radius {message.radius_m:.0f} ±{message.radius_std_m:.0f} m")
+    lasted_s = (message.end_ns - message.start_ns) / S
+    if lasted_s > 0.0:
+        parts.append(f"{lasted_s:.1f} s")
+    parts.append(f"{message.distance_m:.0f} m after the one before")
+    return "  ".join([*parts, " ".join(message.inputs)]).rstrip()
+
+
+def _line_place(message: Any) -> str:
+    states = message.DESCRIPTOR.enum_types_by_name["State"].values_by_number
+    parts = [states[message.state].name.lower().replace("_", " ")]
+    if message.line:
+        where = f"line {message.line}/{message.direction} at {message.chainage_m:.0f}"
+        parts.append(f"{where} ±{message.chainage_std_m:.0f} m")
+        parts.append(f"{100.0 * message.probability:.0f} %")
+    if message.alternatives:
+        parts.append(f"{len(message.alternatives)} others")
+    return "  ".join(parts)
+
+
+def _landmark(message: Any) -> str:
+    of = "/".join(each for each in (message.line, message.direction) if each) or "any line"
+    return f"{message.name}  {of} at {message.chainage_m:.0f} ±{message.chainage_std_m:.0f} m"
+
+
 def _stopping(message: Any) -> str:
     parts = []
     for stop in message.stops:
@@ -288,13 +320,16 @@ _DIGESTS: dict[str, Callable[[Any], str]] = {
     "GradeStopping": _stopping,
     "ImuBatch": _imu_batch,
     "ImuMean": _imu_mean,
+    "Landmark": _landmark,
     "LateSample": _late,
+    "LinePlace": _line_place,
     "LocationFix": _location,
     "Log": _log,
     "Loss": _loss,
     "NodeHealth": _node,
     "Odometry": _odometry,
     "RawBytes": _raw_bytes,
+    "SegmentEvent": _segment,
     "Snapshot": _snapshot,
     "SyncFrame": _frame,
     "SyncGap": _gap,

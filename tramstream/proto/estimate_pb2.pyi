@@ -300,3 +300,119 @@ class GradeStopping(_message.Message):
     mapped_m: float
     stops: _containers.RepeatedCompositeFieldContainer[StoppingDistance]
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., speed_mps: _Optional[float] = ..., grade_ahead_rad: _Optional[float] = ..., mapped_m: _Optional[float] = ..., stops: _Optional[_Iterable[_Union[StoppingDistance, _Mapping]]] = ...) -> None: ...
+
+class SegmentEvent(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "kind", "start_ns", "end_ns", "start_m", "end_m", "distance_m", "distance_std_m", "angle_rad", "angle_std_rad", "radius_m", "radius_std_m", "probability", "name", "backwards", "doors_opened", "inputs", "stop_std_s")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        UNKNOWN: _ClassVar[SegmentEvent.Kind]
+        HALT: _ClassVar[SegmentEvent.Kind]
+        STOP: _ClassVar[SegmentEvent.Kind]
+        TURN: _ClassVar[SegmentEvent.Kind]
+        AREA_ENTERED: _ClassVar[SegmentEvent.Kind]
+        AREA_LEFT: _ClassVar[SegmentEvent.Kind]
+    UNKNOWN: SegmentEvent.Kind
+    HALT: SegmentEvent.Kind
+    STOP: SegmentEvent.Kind
+    TURN: SegmentEvent.Kind
+    AREA_ENTERED: SegmentEvent.Kind
+    AREA_LEFT: SegmentEvent.Kind
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    START_NS_FIELD_NUMBER: _ClassVar[int]
+    END_NS_FIELD_NUMBER: _ClassVar[int]
+    START_M_FIELD_NUMBER: _ClassVar[int]
+    END_M_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_RAD_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_STD_RAD_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_STD_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BACKWARDS_FIELD_NUMBER: _ClassVar[int]
+    DOORS_OPENED_FIELD_NUMBER: _ClassVar[int]
+    INPUTS_FIELD_NUMBER: _ClassVar[int]
+    STOP_STD_S_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    kind: SegmentEvent.Kind
+    start_ns: int
+    end_ns: int
+    start_m: float
+    end_m: float
+    distance_m: float
+    distance_std_m: float
+    angle_rad: float
+    angle_std_rad: float
+    radius_m: float
+    radius_std_m: float
+    probability: float
+    name: str
+    backwards: bool
+    doors_opened: bool
+    inputs: _containers.RepeatedScalarFieldContainer[str]
+    stop_std_s: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., kind: _Optional[_Union[SegmentEvent.Kind, str]] = ..., start_ns: _Optional[int] = ..., end_ns: _Optional[int] = ..., start_m: _Optional[float] = ..., end_m: _Optional[float] = ..., distance_m: _Optional[float] = ..., distance_std_m: _Optional[float] = ..., angle_rad: _Optional[float] = ..., angle_std_rad: _Optional[float] = ..., radius_m: _Optional[float] = ..., radius_std_m: _Optional[float] = ..., probability: _Optional[float] = ..., name: _Optional[str] = ..., backwards: _Optional[bool] = ..., doors_opened: _Optional[bool] = ..., inputs: _Optional[_Iterable[str]] = ..., stop_std_s: _Optional[float] = ...) -> None: ...
+
+class LineAlternative(_message.Message):
+    __slots__ = ("line", "direction", "chainage_m", "chainage_std_m", "probability")
+    LINE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    line: str
+    direction: str
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    def __init__(self, line: _Optional[str] = ..., direction: _Optional[str] = ..., chainage_m: _Optional[float] = ..., chainage_std_m: _Optional[float] = ..., probability: _Optional[float] = ...) -> None: ...
+
+class LinePlace(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "state", "line", "direction", "chainage_m", "chainage_std_m", "probability", "line_probability", "off_probability", "alternatives", "wheel_scale", "wheel_scale_std", "latitude_deg", "longitude_deg", "reversed", "gone_m")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SEARCHING: _ClassVar[LinePlace.State]
+        PLACED: _ClassVar[LinePlace.State]
+        OFF_LINE: _ClassVar[LinePlace.State]
+    SEARCHING: LinePlace.State
+    PLACED: LinePlace.State
+    OFF_LINE: LinePlace.State
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    LINE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    LINE_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    OFF_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
+    WHEEL_SCALE_FIELD_NUMBER: _ClassVar[int]
+    WHEEL_SCALE_STD_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    REVERSED_FIELD_NUMBER: _ClassVar[int]
+    GONE_M_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    state: LinePlace.State
+    line: str
+    direction: str
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    line_probability: float
+    off_probability: float
+    alternatives: _containers.RepeatedCompositeFieldContainer[LineAlternative]
+    wheel_scale: float
+    wheel_scale_std: float
+    latitude_deg: float
+    longitude_deg: float
+    reversed: bool
+    gone_m: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., state: _Optional[_Union[LinePlace.State, str]] = ..., line: _Optional[str] = ..., direction: _Optional[str] = ..., chainage_m: _Optional[float] = ..., chainage_std_m: _Optional[float] = ..., probability: _Optional[float] = ..., line_probability: _Optional[float] = ..., off_probability: _Optional[float] = ..., alternatives: _Optional[_Iterable[_Union[LineAlternative, _Mapping]]] = ..., wheel_scale: _Optional[float] = ..., wheel_scale_std: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., reversed: _Optional[bool] = ..., gone_m: _Optional[float] = ...) -> None: ...

@@ -155,3 +155,23 @@ class TruthState(_message.Message):
     position_std_m: float
     grade_rad: float
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., arc_length_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., position_std_m: _Optional[float] = ..., grade_rad: _Optional[float] = ...) -> None: ...
+
+class Landmark(_message.Message):
+    __slots__ = ("stamp_ns", "sequence", "name", "line", "direction", "chainage_m", "chainage_std_m", "probability")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LINE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_M_FIELD_NUMBER: _ClassVar[int]
+    CHAINAGE_STD_M_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    sequence: int
+    name: str
+    line: str
+    direction: str
+    chainage_m: float
+    chainage_std_m: float
+    probability: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., name: _Optional[str] = ..., line: _Optional[str] = ..., direction: _Optional[str] = ..., chainage_m: _Optional[float] = ..., chainage_std_m: _Optional[float] = ..., probability: _Optional[float] = ...) -> None: ...

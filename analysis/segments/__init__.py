@@ -1,0 +1,1 @@
+"""Stops, turns and places on lines: simulated rides judged, lines learned, tables of records."""
