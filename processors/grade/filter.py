@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,9 @@ from tramstream.machine.kernels import bound
 from tramstream.processors.grade import kernels
 from tramstream.processors.grade.kernels import STATES, Ix
 from tramstream.processors.grade.own_speed import OwnSpeed, SpeedMemory
+from tramstream.processors.grade.said import Said
 from tramstream.processors.grade.settings import GradeSettings
-from tramstream.processors.grade.waiting import State
+from tramstream.processors.grade.waiting import Place, State
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 
@@ -54,6 +54,8 @@ REFUSALS = 20
 """So many heights refused in a row: the receiver has another height now."""
 HEIGHT_STD_M = 100.0
 OWN_SPEED_STD_MPS = 0.1
+NAN = math.nan
+_MASS = int(Ix.MASS)
 LOST_S = 1.0
 """A localiser that is silent for so long is away."""
 
@@ -65,26 +67,12 @@ UNKNOWN = State(
     acceleration_mps2=0.0,
     pitch_rad=math.nan,
     pitch_variance=SLOPE_STD_RAD**2,
+    level_error_rad=math.nan,
+    level_variance=0.0,
     standing=False,
     mapped=False,
 )
 """What stands for a localiser that is away."""
-
-
-class Estimate(NamedTuple):
-    """The slope at one instant."""
-
-    slope_rad: float
-    variance: float
-    nod_rad: float
-    """Of the body against the track, nose down positive."""
-    nod_variance: float
-    bend_per_m: float
-    mass: float
-    """By that of the settings,"""
-    mass_std: float
-    rolling: float
-    rolling_std: float
 
 
 @dataclass
@@ -99,6 +87,8 @@ class FilterMemory:
     """Of the last state of the localiser."""
     state: State = UNKNOWN
     """The last one, or what stands for it."""
+    level_error_rad: float = math.nan
+    """The last one that a localiser has told."""
     datum_m: float = math.nan
     """Height of the first fix, from which heights are counted."""
     fix_variance: float = 1.0
@@ -123,8 +113,11 @@ class GradeFilter:
         self._own = OwnSpeed(vehicle.wheels.m_per_pulse, memory.own)
         if not memory.P.any():
             self._begin()
+        self.said = said = Said()
         x, P, number = memory.x, memory.P, 0.5
-        self._follow = bound(kernels.follow, x, P, memory.scatter, *[number] * 9)
+        constants = np.array([self._shift_m, self._tau_s, settings.mass_kg])
+        self._arrays = x, P, memory.scatter, constants, said.numbers, said.encoded
+        self._step = bound(kernels.step, *self._arrays, *[number] * 12)
         self._take_height = bound(kernels.take_height, x, P, *[number] * 4)
         self._take_climb = bound(kernels.take_climb, x, P, *[number] * 5)
         self._take_force = bound(kernels.take_force, x, P, *[number] * 5, False)
@@ -144,38 +137,49 @@ class GradeFilter:
         memory.P[:] = np.diag(stds**2)
 
     # A frame -------------------------------------------------------------------------------------
-    def step(self, stamp_ns: int, state: State | None) -> Estimate | None:
-        """Go on to a frame, with the localiser's state of it; None while nobody says a speed."""
+    def step(self, stamp_ns: int, state: State | None, place: Place) -> bool:
+        """Go on to a frame, with the localiser's state of it; False while nobody says a speed.
+
+        What is found is in `said`, with the chainage that follows from the last match.
+        """
         memory = self.memory
-        dt_s = (stamp_ns - memory.stamp_ns) / S if memory.stamp_ns else 0.0
+        before = memory.stamp_ns
         memory.stamp_ns = stamp_ns
-        pitch, before = math.nan, memory.state.pitch_variance
+        dt_s = (stamp_ns - before) / S if before else 0.0
+        variance, pitch, changed = memory.state.pitch_variance, NAN, NAN
         if state is not None:
             memory.state, memory.state_ns, pitch = state, state.stamp_ns, state.pitch_rad
+            if pitch == pitch:
+                changed = state.level_error_rad - memory.level_error_rad
+                memory.level_error_rad = state.level_error_rad
         elif self.away:
             self._go_alone(stamp_ns)
         if not memory.state_ns and not memory.own.speed_ns:
-            return None
-        now, way_m = memory.state, 0.0
+            return False
+        now, way_m, chainage_m = memory.state, 0.0, 0.0
+        if place.run >= 0:
+            old_s = (stamp_ns - place.stamp_ns) / S
+            chainage_m = place.chainage_m + abs(now.speed_mps) * old_s
         if now.standing:
-            memory.P[Ix.MASS, Ix.MASS] += MASS_WALK * MASS_WALK * dt_s / STOP_S
+            memory.P[_MASS, _MASS] += MASS_WALK * MASS_WALK * dt_s / STOP_S
         else:
             way_m = now.speed_mps * dt_s
-        found = self._follow(
-            memory.x,
-            memory.P,
-            memory.scatter,
+        self._step(
+            *self._arrays,
             dt_s,
             way_m,
-            self._shift_m,
-            pitch,
+            now.speed_mps,
             now.acceleration_mps2,
+            pitch,
             now.pitch_variance,
-            before,
+            variance,
+            changed,
+            now.level_variance,
             memory.fix_variance,
-            self._tau_s,
+            chainage_m,
+            place.probability,
         )
-        return Estimate(*found)
+        return True
 
     def _go_alone(self, stamp_ns: int) -> None:
         """Go on by wheels and fixes, without a localiser."""

@@ -33,13 +33,15 @@ from tramstream.processors.grade.events import (
     PITCH_CONTRADICTS,
     SUSPENSION_CONTRADICTS,
 )
-from tramstream.processors.grade.filter import Estimate, FilterMemory, GradeFilter
+from tramstream.processors.grade.filter import FilterMemory, GradeFilter
 from tramstream.processors.grade.in_use import InUse, InUseMemory
 from tramstream.processors.grade.kernels import Ix
+from tramstream.processors.grade.said import Of
 from tramstream.processors.grade.settings import GradeSettings
 from tramstream.processors.grade.stopping import stop
 from tramstream.processors.grade.waiting import (
     NOWHERE,
+    Frame,
     Late,
     Place,
     Taken,
@@ -54,7 +56,6 @@ from tramstream.processors.grade.way_ahead import (
 )
 from tramstream.proto.estimate_pb2 import (
     FilterParameters,
-    GradeState,
     GradeStopping,
     Parameter,
     StoppingDistance,
@@ -63,8 +64,6 @@ from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 from tramstream.tracks import network as networks
 
 STOPPING_EVERY_NS = S // 2
-LEAST_STD_RAD = 1e-4
-"""A rail is no line: slopes of neighbouring metres differ by a hundredth of a percent."""
 MATCHED_S = 0.5
 """A match that is older says nothing of now."""
 KNOWN_PART = 0.02
@@ -132,7 +131,6 @@ class GradeEstimator(Processor):
         self._in_use = InUse(memory.in_use)
         self._way = _way_of(vehicle)
         self._stop = bound(stop, known_now(0.0, 1.0, 0.0).slopes, 0.5, 0.5, 0.5)
-        self._mass_kg = settings.mass_kg
         self._late_recorded: Late | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
@@ -170,72 +168,51 @@ class GradeEstimator(Processor):
         for reading in frame.odometry:
             use(in_use.ODOMETRY, stamp_ns)
             self._filter.take_odometry(reading)
-        estimate = self._filter.step(stamp_ns, state)
-        message = GradeState()
-        for reading in frame.odometry:
-            if reading.HasField("motor_force_n"):
-                self._note(message, self._filter.take_force(reading.motor_force_n))
-        for fix in frame.fixes:
-            for verdict in self._filter.take_fix(fix):
-                self._note(message, verdict)
-        if estimate is None:
+        place = memory.place
+        if place.run < 0 or not stamp_ns - place.stamp_ns < MATCHED_S * S:
+            place = NOWHERE
+        known = self._filter.step(stamp_ns, state, place)
+        verdicts = self._heard(frame)
+        if not known:
             return []
-        self._fill(message, estimate, stamp_ns)
+        names = self._in_use.names(stamp_ns)
+        message = self._filter.said.message(memory.forced, place.edge, place.run, names)
+        for name, value, variance, accepted in verdicts:
+            message.innovations.add(
+                measurement=name, value=value, variance=variance, accepted=accepted
+            )
         made = [self.emit(keys.EST_GRADE, message, stamp_ns)]
         if not 0 <= stamp_ns - memory.stopped_ns < STOPPING_EVERY_NS:
             memory.stopped_ns = stamp_ns
-            made.append(self.emit(keys.EST_STOPPING, self._stopping(estimate), stamp_ns))
+            made.append(self.emit(keys.EST_STOPPING, self._stopping(), stamp_ns))
         second = stamp_ns // S
         if second != memory.second:
             memory.second = second
             made += self._each_second(stamp_ns)
         return made
 
-    def _note(self, message: GradeState, verdict: Verdict | None) -> None:
-        """Take note of what a measurement told."""
-        if verdict is None:
-            return
-        if verdict.accepted:
-            self._in_use.use(verdict.measurement, self.memory.filter.stamp_ns)
-            self.memory.forced = self.memory.forced or verdict.measurement == in_use.MOTOR_FORCE
-        message.innovations.add(
-            measurement=verdict.measurement,
-            value=verdict.innovation,
-            variance=verdict.variance,
-            accepted=verdict.accepted,
-        )
-
-    def _fill(self, message: GradeState, estimate: Estimate, stamp_ns: int) -> None:
-        """Put an estimate into its message, field by field: by keywords it takes twice as long."""
-        message.grade_rad = estimate.slope_rad
-        message.grade_std_rad = math.sqrt(estimate.variance + LEAST_STD_RAD * LEAST_STD_RAD)
-        message.body_pitch_rad = estimate.nod_rad
-        message.body_pitch_std_rad = math.sqrt(
-            max(estimate.nod_variance, 0.0) + LEAST_STD_RAD * LEAST_STD_RAD
-        )
-        speed = self.memory.filter.state.speed_mps
-        message.speed_mps = speed
-        place = self.memory.place
-        old_s = (stamp_ns - place.stamp_ns) / S
-        if place.run >= 0 and old_s < MATCHED_S:
-            message.edge, message.run = place.edge, place.run
-            message.chainage_m = place.chainage_m + abs(speed) * old_s
-            message.probability = place.probability
-        else:
-            message.run = -1
-        message.inputs.extend(self._in_use.names(stamp_ns))
-        if self.memory.forced:
-            scale = self._mass_kg
-            message.mass_kg, message.mass_std_kg = estimate.mass * scale, estimate.mass_std * scale
-            message.rolling_resistance = estimate.rolling
-            message.rolling_resistance_std = estimate.rolling_std
+    def _heard(self, frame: Frame) -> list[Verdict]:
+        """Take force and fixes of a frame; what they told, accepted or not."""
+        memory, found = self.memory, []
+        for reading in frame.odometry:
+            if reading.HasField("motor_force_n"):
+                verdict = self._filter.take_force(reading.motor_force_n)
+                if verdict is not None:
+                    memory.forced = memory.forced or verdict.accepted
+                    found.append(verdict)
+        for fix in frame.fixes:
+            found += self._filter.take_fix(fix)
+        for verdict in found:
+            if verdict.accepted:
+                self._in_use.use(verdict.measurement, memory.filter.stamp_ns)
+        return found
 
     # Distances to stop ---------------------------------------------------------------------------
-    def _stopping(self, estimate: Estimate) -> GradeStopping:
+    def _stopping(self) -> GradeStopping:
         """Distances to stop from now on."""
         now = self.memory.filter.state
         forwards, speed = -1.0 if now.speed_mps < 0.0 else 1.0, abs(now.speed_mps)
-        ahead = self._ahead(estimate, forwards)
+        ahead = self._ahead(forwards)
         message = GradeStopping(speed_mps=now.speed_mps, mapped_m=ahead.mapped_m)
         longest_m = 0.0
         for deceleration in self.settings.decelerations_mps2:
@@ -252,9 +229,11 @@ class GradeEstimator(Processor):
         message.grade_ahead_rad = ahead.mean_to(longest_m)
         return message
 
-    def _ahead(self, estimate: Estimate, forwards: float) -> Ahead:
+    def _ahead(self, forwards: float) -> Ahead:
         # The slope seen in the direction of motion turns its sign with it, its bend does not.
-        here = known_now(forwards * estimate.slope_rad, estimate.variance, estimate.bend_per_m)
+        numbers = self._filter.said.numbers
+        slope, variance, bend = (float(numbers[k]) for k in (Of.SLOPE, Of.VARIANCE, Of.BEND))
+        here = known_now(forwards * slope, variance, bend)
         place = self.memory.place
         if self._way is None or place.run < 0 or place.probability < LEAST_PROBABILITY:
             return here

@@ -12,11 +12,12 @@ from bisect import insort
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import isfinite, nan
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 from tramstream.clock import S
+from tramstream.estimation.localiser import HEADING_UNKNOWN
 from tramstream.processor import Ledger, Sample
 from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -50,7 +51,12 @@ class State(NamedTuple):
     speed_std_mps: float
     acceleration_mps2: float
     pitch_rad: float
+    """NaN while the vehicle goes with its heading unknown: then it is that of where it stood."""
     pitch_variance: float
+    level_error_rad: float
+    """By which the accelerometer shows more pitch than that; NaN if its localiser does not say."""
+    level_variance: float
+    """Of their sum."""
     standing: bool
     mapped: bool
     """Whether it has just taken the map's slope."""
@@ -211,6 +217,11 @@ def _state_of(message: MotionState, mapped: bool) -> State | None:
     speed, acceleration, pitch = message.speed_mps, message.acceleration_mps2, message.pitch_rad
     if not (isfinite(speed + acceleration + pitch + variance) and variance >= 0.0):
         return None
+    standing, level, std = message.standing, nan, 0.0
+    if message.HasField("level_error_rad"):
+        level, std = message.level_error_rad, message.level_std_rad
+    if message.mode == HEADING_UNKNOWN and not standing:
+        pitch = nan
     return State(
         message.stamp_ns,
         speed,
@@ -218,7 +229,9 @@ def _state_of(message: MotionState, mapped: bool) -> State | None:
         acceleration,
         pitch,
         variance,
-        message.standing,
+        level if isfinite(level + std) else nan,
+        std * std,
+        standing,
         mapped and _takes_slope(message),
     )
 
