@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
+from tramstream.estimation.fix_error import FixError, FixErrorMemory
 from tramstream.estimation.fixes import deviations, measures_height, unusable
 from tramstream.estimation.localiser import Verdict
 from tramstream.machine.kernels import bound
@@ -32,8 +33,8 @@ Array = NDArray[np.float64]
 
 SLOPE_STD_RAD = 0.03
 """Before anything is known; Prague's steepest tram track has 0.09."""
-FIX_STDS = 1.5
-"""A height is worse than the receiver says, which is too sure of itself in streets."""
+STEP = 1.1
+"""What is learned of heights is told to the filter when it is off by this factor."""
 HEIGHT_NOISE_M = 0.3
 """White part of a fix's height."""
 LEAST_FIX_STD_M = 0.5
@@ -81,7 +82,8 @@ class FilterMemory:
 
     x: Array = field(default_factory=lambda: np.zeros(STATES))
     P: Array = field(default_factory=lambda: np.zeros((STATES, STATES)))
-    scatter: Array = field(default_factory=lambda: np.zeros(1))
+    shaking: Array = field(default_factory=lambda: np.zeros(2))
+    """See `kernels.follow`."""
     stamp_ns: int = 0
     state_ns: int = 0
     """Of the last state of the localiser."""
@@ -92,6 +94,10 @@ class FilterMemory:
     datum_m: float = math.nan
     """Height of the first fix, from which heights are counted."""
     fix_variance: float = 1.0
+    fix_error: FixErrorMemory = field(default_factory=FixErrorMemory)
+    """Of heights, over what the receiver states."""
+    fix_share: float = 1.0
+    """The largest variance over the stated one that heights have been doubted for."""
     refused: int = 0
     """Heights, in a row."""
     forces: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
@@ -113,10 +119,11 @@ class GradeFilter:
         self._own = OwnSpeed(vehicle.wheels.m_per_pulse, memory.own)
         if not memory.P.any():
             self._begin()
+        self._fix_error = FixError(self._tau_s, memory.fix_error, axes=1)
         self.said = said = Said()
         x, P, number = memory.x, memory.P, 0.5
         constants = np.array([self._shift_m, self._tau_s, settings.mass_kg])
-        self._arrays = x, P, memory.scatter, constants, said.numbers, said.encoded
+        self._arrays = x, P, memory.shaking, constants, said.numbers, said.encoded
         self._step = bound(kernels.step, *self._arrays, *[number] * 12)
         self._take_height = bound(kernels.take_height, x, P, *[number] * 4)
         self._take_climb = bound(kernels.take_climb, x, P, *[number] * 5)
@@ -216,8 +223,9 @@ class GradeFilter:
         height_m = fix.height_ellipsoid_m
         if math.isnan(memory.datum_m):
             memory.datum_m = height_m
-        std = max(FIX_STDS * deviations(fix, LEAST_FIX_STD_M)[1], LEAST_FIX_STD_M)
-        memory.fix_variance = std * std
+        std, share = deviations(fix, LEAST_FIX_STD_M)[1], self._fix_error.size
+        self._doubt_heights(share)
+        memory.fix_variance = share * std * std
         y, S_, fits = self._take_height(
             memory.x,
             memory.P,
@@ -226,11 +234,24 @@ class GradeFilter:
             HEIGHT_NOISE_M * HEIGHT_NOISE_M,
             GATE,
         )
+        error_m = float(memory.x[Ix.FIX_ERROR]) + (0.0 if fits else y)
+        self._fix_error.see(fix.stamp_ns, error_m, 0.0, std)
         memory.refused = 0 if fits else memory.refused + 1
         if memory.refused >= REFUSALS:
             memory.refused = 0
             memory.P[Ix.HEIGHT, Ix.HEIGHT] += HEIGHT_STD_M * HEIGHT_STD_M
         return Verdict("gnss_height", y, S_, fits)
+
+    def _doubt_heights(self, share: float) -> None:
+        """Take what heights have told until now for as wrong as they turn out to be."""
+        memory = self.memory
+        if share > STEP * memory.fix_share:
+            P, h, e = memory.P, int(Ix.HEIGHT), int(Ix.FIX_ERROR)
+            more = (share / memory.fix_share - 1.0) * P[e, e]
+            P[h, h] += more
+            P[e, e] += more
+            P[h, e] = P[e, h] = P[h, e] - more
+            memory.fix_share = share
 
     def _climb(self, fix: GnssFix) -> Verdict:
         memory = self.memory

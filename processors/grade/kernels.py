@@ -34,6 +34,8 @@ class Ix(IntEnum):
 
 
 STATES = len(Ix)
+SCATTER, FELT = range(2)
+"""Of what is remembered beside them; see `follow`."""
 BEND_STD_PER_M = 3e-4
 """How tracks bend up and down: Prague's lines 7 and 20 have 2.0e-4 and 2.3e-4 (SRTM heights), and
 rails more than a terrain model shows."""
@@ -47,8 +49,10 @@ LEAST_OFFSET_STD_RAD = 3e-4
 """A localiser that is surer of its pitch knows no cross-axis and no scale of its accelerometer."""
 LEVEL_WALK_RAD = 1e-5
 """Within √s, of an accelerometer's level: its bias warms up by 4e-4 rad in a quarter of an hour."""
-LEVEL_S = 1.0
-"""So long the error lasts by which a localiser's pitch swings about its level."""
+SPRINGS_S = 0.1
+"""By which springs follow a force: 2 ζ/ω of those of 1.2 Hz, a little damped, and the case's own
+shaking, which moves the acceleration and no body, is smoothed away: it would make springs look
+stiff."""
 NOD_MPS2 = 0.25
 """A localiser that takes the body's nod for slope errs by what springs do under so much: a quarter
 of what they do in braking (`reproduce grade`, world body)."""
@@ -179,7 +183,7 @@ def _level(x: Array, P: Array, dt_s: float, variance: float, change: float) -> N
 def follow(
     x: Array,
     P: Array,
-    scatter: Array,
+    shaking: Array,
     shift_m: float,
     fix_tau_s: float,
     out: Array,
@@ -197,15 +201,16 @@ def follow(
 
     Parameters
     ----------
-    scatter : ndarray, shape (1,)
-        Mean square of what the pitch shows beside the prediction; changed in place.
+    shaking : ndarray, shape (2,)
+        Mean square of what the pitch shows beside the prediction, and the acceleration that springs
+        have followed; changed in place.
     shift_m : float
         How far the vehicle's origin is ahead of the point that α is of.
     out : ndarray
         Gets what is said, see `said.Of`: at the vehicle's origin; of the body against the track,
         nose down positive; a metre; by the mass of the settings; by the weight.
     acceleration_mps2 : float
-        v̇; the springs feel the specific force f = v̇ + g α along the track.
+        v̇; the springs follow the specific force f = v̇ + g α along the track.
     pitch_rad : float
         θ of the body, nose down positive; NaN where there is none.
     pitch_variance, pitch_variance_before : float
@@ -218,6 +223,9 @@ def follow(
     """
     slope, spring, offset = Ix.SLOPE, Ix.SPRING, Ix.OFFSET
     carry(x, P, dt_s, way_m, shift_m, (fix_variance, math.exp(-dt_s / fix_tau_s)))
+    late = 1.0 - math.exp(-dt_s / SPRINGS_S)
+    shaking[FELT] += late * (acceleration_mps2 - shaking[FELT])
+    felt = shaking[FELT]
     if not math.isnan(pitch_rad):
         variance = _offset_variance(x, P, pitch_variance)
         if math.isnan(level_change):
@@ -226,33 +234,35 @@ def follow(
         else:
             _level(x, P, dt_s, variance, level_change)
         H = np.zeros(x.shape[0])
-        force = acceleration_mps2 + GRAVITY * x[slope]
+        force = felt + GRAVITY * x[slope]
         H[slope], H[spring], H[offset] = 1.0 + GRAVITY * x[spring], force, 1.0
         y = -pitch_rad - (x[slope] + force * x[spring] + x[offset])
         R = LEAST_PITCH_STD_RAD * LEAST_PITCH_STD_RAD
-        R += (scatter[0] * SHAKES_S + level_variance * LEVEL_S) / max(dt_s, 1e-3)
+        R += (shaking[SCATTER] + level_variance) * SHAKES_S / max(dt_s, 1e-3)
         y, S, _ = update(x, P, H, y, R, math.inf)
         if way_m != 0.0:
             known = max(S - R, 0.0)
             share = min(dt_s / SCATTER_S, 1.0)
-            scatter[0] += share * (max(y * y - known, 0.0) - scatter[0])
-    _say(x, P, shift_m, acceleration_mps2, out)
+            shaking[SCATTER] += share * (max(y * y - known, 0.0) - shaking[SCATTER])
+    swings = shaking[SCATTER] if way_m != 0.0 else 0.0
+    _say(x, P, shift_m, felt, swings, out)
 
 
 @compiled
-def _say(x: Array, P: Array, shift_m: float, acceleration_mps2: float, out: Array) -> None:
-    """Fill in what is said of the vehicle's origin."""
+def _say(x: Array, P: Array, shift_m: float, felt_mps2: float, swings: float, out: Array) -> None:
+    """Fill in what is said of the vehicle's origin; `swings` is the variance of what springs do."""
     slope, bend, spring = Ix.SLOPE, Ix.BEND, Ix.SPRING
-    ahead = P[slope, slope] + 2.0 * shift_m * P[slope, bend] + shift_m * shift_m * P[bend, bend]
-    force = acceleration_mps2 + GRAVITY * x[slope]
-    by_slope = x[spring] * GRAVITY  # the force is known as well as the slope is
-    nod_variance = force * force * P[spring, spring] + by_slope * by_slope * P[slope, slope]
-    nod_variance += 2.0 * force * by_slope * P[spring, slope]
     least = LEAST_STD_RAD * LEAST_STD_RAD
+    ahead = P[slope, slope] + 2.0 * shift_m * P[slope, bend] + shift_m * shift_m * P[bend, bend]
     out[Of.SLOPE], out[Of.BEND], out[Of.VARIANCE] = x[slope] + shift_m * x[bend], x[bend], ahead
     out[Of.SLOPE_STD] = math.sqrt(max(ahead, 0.0) + least)
-    out[Of.NOD] = -x[spring] * force
-    out[Of.NOD_STD] = math.sqrt(max(nod_variance, 0.0) + least)
+    # Against the track under the origin: what springs do, and the chord between the bogies.
+    force = felt_mps2 + GRAVITY * x[slope]
+    out[Of.NOD] = shift_m * x[bend] - x[spring] * force
+    a, b, k = -GRAVITY * x[spring], shift_m, -force
+    variance = a * (a * P[slope, slope] + 2.0 * (b * P[slope, bend] + k * P[slope, spring]))
+    variance += b * (b * P[bend, bend] + 2.0 * k * P[bend, spring]) + k * k * P[spring, spring]
+    out[Of.NOD_STD] = math.sqrt(max(variance, 0.0) + least + swings)
     out[Of.MASS], out[Of.MASS_STD] = x[Ix.MASS], math.sqrt(P[Ix.MASS, Ix.MASS])
     out[Of.ROLLING], out[Of.ROLLING_STD] = x[Ix.ROLLING], math.sqrt(P[Ix.ROLLING, Ix.ROLLING])
 
@@ -261,7 +271,7 @@ def _say(x: Array, P: Array, shift_m: float, acceleration_mps2: float, out: Arra
 def step(
     x: Array,
     P: Array,
-    scatter: Array,
+    shaking: Array,
     constants: Array,
     out: Array,
     encoded: Bytes,
@@ -291,7 +301,7 @@ def step(
     """
     told = pitch_rad, pitch_variance, pitch_variance_before, level_change, level_variance
     shift_m, tau_s = constants[0], constants[1]
-    follow(x, P, scatter, shift_m, tau_s, out, dt_s, way_m, acceleration_mps2, *told, fix_variance)
+    follow(x, P, shaking, shift_m, tau_s, out, dt_s, way_m, acceleration_mps2, *told, fix_variance)
     out[Of.MASS] *= constants[2]
     out[Of.MASS_STD] *= constants[2]
     out[Of.SPEED], out[Of.CHAINAGE], out[Of.PROBABILITY] = speed_mps, chainage_m, probability

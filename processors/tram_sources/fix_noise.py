@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.estimation.fix_error import FixError, FixErrorMemory
 from tramstream.estimation.fixes import deviations
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
@@ -22,7 +23,6 @@ from tramstream.processors.tram_filter.events import RECEIVER_BOASTS
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
-from tramstream.processors.tram_sources.fix_error import FixError, FixErrorMemory
 from tramstream.processors.tram_sources.slow_fix_error import (
     SLOW_TAU_S,
     SlowFixError,
@@ -140,7 +140,7 @@ class FixNoise:
     @property
     def _up_share(self) -> float:
         """Variance of a height's error over the stated one; nothing of it counts as slow."""
-        return max(self._learned_up.fast, 1.0)
+        return self._learned_up.size
 
     @property
     def _scale(self) -> float:

@@ -149,7 +149,7 @@ def followed(
     shift_m, tau_s, dt_s, way_m, fix_variance = 0.0, 20.0, 0.01, 0.0, 1.0
     out = np.zeros(NUMBERS)
     given = pitch, *stated, level_change, 0.0, fix_variance
-    kernels.follow(x, P, np.zeros(1), shift_m, tau_s, out, dt_s, way_m, acceleration, *given)
+    kernels.follow(x, P, np.zeros(2), shift_m, tau_s, out, dt_s, way_m, acceleration, *given)
     return out
 
 
@@ -236,6 +236,6 @@ def test_covariance_stays_positive_over_an_hour_with_gaps_of_the_pitch() -> None
         pitch = math.nan if (k // 3000) % 3 == 1 else 0.02 * math.sin(k / 5000)
         level = 0.0 if k % 7000 > 3000 else math.nan
         given = math.sin(k / 50), pitch, 1e-6, 1e-6, level, 1e-8, 1.0
-        kernels.follow(x, P, np.full(1, 1e-8), 3.2, 20.0, np.zeros(NUMBERS), 0.1, 1.0, *given)
+        kernels.follow(x, P, np.full(2, 1e-8), 3.2, 20.0, np.zeros(NUMBERS), 0.1, 1.0, *given)
     assert np.linalg.eigvalsh(P).min() > 0.0
     assert np.isfinite(x).all()

@@ -99,6 +99,11 @@ class FixError:
         return min(max(STEADY * memory.whole, LEAST_SHARE), 1.0)
 
     @property
+    def size(self) -> float:
+        """Variance over the stated one where all of it is taken to last no longer: heights'."""
+        return max(min(self.memory.whole, self.memory.part), 1.0)
+
+    @property
     def slow(self) -> float:
         """Variance of what lasts for minutes, over the stated one."""
         fast, memory = self.fast, self.memory

@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from drawn_errors import Array, drawn
 from seeds import seeds
 
 from tramstream.clock import S
-from tramstream.processors.tram_sources.fix_error import (
+from tramstream.estimation.fix_error import (
     EVEN,
     LEAST_SHARE,
     LIMIT,
@@ -21,22 +21,10 @@ from tramstream.processors.tram_sources.fix_error import (
     FixError,
 )
 
-Array = NDArray[np.float64]
 TAU_S = 20.0
 STATED_M = 0.5
 SEEDS = seeds(2, of=5)
 LONG_S = 900.0
-
-
-def drawn(seed: int, std_m: float, tau_s: float, duration_s: float, rate_hz: float = 1.0) -> Array:
-    """Errors to the east and the north, (n, 2)."""
-    rng = np.random.default_rng(seed)
-    keep = math.exp(-1.0 / (rate_hz * tau_s))
-    error, errors = rng.normal(0.0, std_m, 2), []
-    for _ in range(round(duration_s * rate_hz)):
-        error = keep * error + rng.normal(0.0, std_m * math.sqrt(1.0 - keep**2), 2)
-        errors.append(error)
-    return np.array(errors)
 
 
 def learned(errors: Array, rate_hz: float = 1.0, stated_m: float = STATED_M) -> FixError:
