@@ -44,7 +44,7 @@ from tramstream.processors.grade.waiting import (
     Frame,
     Late,
     Place,
-    Taken,
+    State,
     Waiting,
     WaitingMemory,
 )
@@ -60,11 +60,14 @@ from tramstream.proto.estimate_pb2 import (
     Parameter,
     StoppingDistance,
 )
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 from tramstream.tracks import network as networks
 
+_MATCH = keys.MAP_MATCH.path
 STOPPING_EVERY_NS = S // 2
-MATCHED_S = 0.5
+MATCHED_NS = S // 2
 """A match that is older says nothing of now."""
 KNOWN_PART = 0.02
 """A mass that is known by that is told."""
@@ -124,6 +127,7 @@ class GradeEstimator(Processor):
         super().__init__(vehicle)
         settings, memory = self.settings, self.memory
         self._source = followed("grade.source", settings.source)
+        self._source_path = self._source.path
         self.inputs = (keys.SYNC_FRAME, self._source, keys.MAP_MATCH)
         mapped = vehicle.map is not None or vehicle.ekf.track == "always"
         self._waiting = Waiting(settings.delay_s, mapped, memory.waiting)
@@ -135,20 +139,22 @@ class GradeEstimator(Processor):
 
     def step(self, sample: Sample) -> list[Sample]:
         path = sample.key.path
-        if path == self._source.path:
-            return self._name_late(self._waiting.take_state(sample), sample)
-        if path == keys.MAP_MATCH.path:
-            return self._name_late(self._waiting.take_match(sample), sample)
-        frame: SyncFrame = sample.message
+        if path == self._source_path:
+            late = self._waiting.take_state(sample)
+        elif path == _MATCH:
+            late = self._waiting.take_match(sample)
+        else:
+            return self._take_frame(sample.message)
+        return [] if late is None else self._name_late(late, sample)
+
+    def _take_frame(self, frame: SyncFrame) -> list[Sample]:
         self._waiting.take_frame(frame)
         made: list[Sample] = []
         for taken in self._waiting.due(frame.stamp_ns):
-            made += self._take(taken)
+            made += self._take(*taken)
         return made
 
-    def _name_late(self, late: LateSample | None, sample: Sample) -> list[Sample]:
-        if late is None:
-            return []
+    def _name_late(self, late: LateSample, sample: Sample) -> list[Sample]:
         named = LateSample()
         named.CopyFrom(late)
         if self._late_recorded is not None:  # with the number that it had live
@@ -156,27 +162,29 @@ class GradeEstimator(Processor):
         return [self.emit(keys.EST_GRADE_LATE, named, sample.stamp_ns)]
 
     # A frame -------------------------------------------------------------------------------------
-    def _take(self, taken: Taken) -> list[Sample]:
-        frame, state, place = taken
-        stamp_ns, memory, use = frame.stamp_ns, self.memory, self._in_use.use
-        if place is not None:
-            memory.place = place
+    def _take(self, frame: Frame, state: State | None, place: Place | None) -> list[Sample]:
+        stamp_ns, odometry, fixes = frame
+        memory, filter_, uses = self.memory, self._filter, self._in_use
         if state is not None:
-            use(in_use.ACCELEROMETER, stamp_ns)
+            uses.use(in_use.ACCELEROMETER, stamp_ns)
             if state.mapped:
-                use(in_use.MAP, stamp_ns)
-        for reading in frame.odometry:
-            use(in_use.ODOMETRY, stamp_ns)
-            self._filter.take_odometry(reading)
-        place = memory.place
-        if place.run < 0 or not stamp_ns - place.stamp_ns < MATCHED_S * S:
+                uses.use(in_use.MAP, stamp_ns)
+        if odometry:
+            uses.use(in_use.ODOMETRY, stamp_ns)
+            for reading in odometry:
+                filter_.take_odometry(reading)
+        if place is None:
+            place = memory.place
+        else:
+            memory.place = place
+        if place.run < 0 or not stamp_ns - place.stamp_ns < MATCHED_NS:
             place = NOWHERE
-        known = self._filter.step(stamp_ns, state, place)
-        verdicts = self._heard(frame)
+        known = filter_.step(stamp_ns, state, place)
+        verdicts = self._hear(odometry, fixes) if odometry or fixes else ()
         if not known:
             return []
-        names = self._in_use.names(stamp_ns)
-        message = self._filter.said.message(memory.forced, place.edge, place.run, names)
+        names = uses.names(stamp_ns)
+        message = filter_.said.message(memory.forced, place.edge, place.run, names)
         for name, value, variance, accepted in verdicts:
             message.innovations.add(
                 measurement=name, value=value, variance=variance, accepted=accepted
@@ -191,16 +199,16 @@ class GradeEstimator(Processor):
             made += self._each_second(stamp_ns)
         return made
 
-    def _heard(self, frame: Frame) -> list[Verdict]:
+    def _hear(self, odometry: list[Odometry], fixes: list[GnssFix]) -> list[Verdict]:
         """Take force and fixes of a frame; what they told, accepted or not."""
         memory, found = self.memory, []
-        for reading in frame.odometry:
+        for reading in odometry:
             if reading.HasField("motor_force_n"):
                 verdict = self._filter.take_force(reading.motor_force_n)
                 if verdict is not None:
                     memory.forced = memory.forced or verdict.accepted
                     found.append(verdict)
-        for fix in frame.fixes:
+        for fix in fixes:
             found += self._filter.take_fix(fix)
         for verdict in found:
             if verdict.accepted:
@@ -237,7 +245,7 @@ class GradeEstimator(Processor):
         place = self.memory.place
         if self._way is None or place.run < 0 or place.probability < LEAST_PROBABILITY:
             return here
-        if self.memory.filter.stamp_ns - place.stamp_ns > MATCHED_S * S:
+        if self.memory.filter.stamp_ns - place.stamp_ns > MATCHED_NS:
             return here
         return self._way.of(place.run, place.chainage_m, here)
 

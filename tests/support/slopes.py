@@ -23,6 +23,7 @@ from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
+from tramstream.simulation.springs import NODES_HZ, Oscillator
 
 Array = NDArray[np.float64]
 START_NS = 1_790_000_000 * S
@@ -30,6 +31,10 @@ FRAME_S = 0.02
 """Half as many frames as live: a ride of three minutes takes a second."""
 FIX_FRAMES = 10
 GRAVITY = 9.81
+JERK_S = 1.0
+"""In which an acceleration begins, and ends."""
+SPRINGS_HZ, SPRINGS_DAMPING = 1.2, 0.25
+"""Of the scenario `tram`."""
 M_PER_PULSE = 0.001
 DRAG = 9.13
 
@@ -78,10 +83,12 @@ class Slopes:
         phase = np.mod(time_s - self.dwell_s, self.run_s + self.dwell_s)
         moving = (time_s >= self.dwell_s) & (phase < self.run_s)
         braking = phase > self.run_s - ramp
-        speed = np.minimum(phase, self.run_s - phase) * self.acceleration_mps2
-        speed = np.where(moving, np.clip(speed, 0.0, self.cruise_mps), 0.0)
         pushing = moving & ((phase < ramp) | braking)
         change = np.where(pushing, np.where(braking, -1.0, 1.0) * self.acceleration_mps2, 0.0)
+        rising = round(JERK_S / FRAME_S)
+        change = np.convolve(change, np.full(rising, 1.0 / rising))[: len(change)]
+        speed = np.cumsum(change) * FRAME_S
+        speed = np.where(np.abs(speed) < 1e-9, 0.0, speed)
         speed, change = self.direction * speed, self.direction * change
         return speed, change, np.cumsum(speed) * FRAME_S
 
@@ -89,6 +96,13 @@ class Slopes:
         """Along x of the vehicle, which does not turn."""
         slope: Array = 0.03 * np.sin(place_m / 90.0) + 0.01 * np.sin(place_m / 37.0)
         return slope
+
+    def followed(self, force: Array) -> Array:
+        """The force that springs have followed: they swing, with 1.2 Hz."""
+        nodes_s = np.arange(math.ceil(self.duration_s * NODES_HZ) + 2) / NODES_HZ
+        felt = np.interp(nodes_s, self.time_s, force)
+        swung: Array = Oscillator(felt, SPRINGS_HZ, SPRINGS_DAMPING).at(self.time_s)[0]
+        return swung
 
     # What is told --------------------------------------------------------------------------------
     @property
@@ -108,7 +122,7 @@ class Slopes:
         slope, under = self.slope_rad(place - self.pivot_m), self.slope_rad(place)
         height = 250.0 + np.cumsum(speed * under) * FRAME_S
         force = change + GRAVITY * slope
-        pitch = -slope - self.nod * force + self.pitch_error_rad
+        pitch = -slope - self.nod * self.followed(force) + self.pitch_error_rad
         pitch = pitch + 1e-4 * rng.standard_normal(len(pitch))
         error = 0.0
         motor = self.mass_kg * (change + GRAVITY * (under + self.rolling * np.sign(speed)))

@@ -149,7 +149,8 @@ def followed(
     shift_m, tau_s, dt_s, way_m, fix_variance = 0.0, 20.0, 0.01, 0.0, 1.0
     out = np.zeros(NUMBERS)
     given = pitch, *stated, level_change, 0.0, fix_variance
-    kernels.follow(x, P, np.zeros(2), shift_m, tau_s, out, dt_s, way_m, acceleration, *given)
+    shaking = np.array([0.0, acceleration])  # springs have followed
+    kernels.follow(x, P, shaking, shift_m, tau_s, out, dt_s, way_m, acceleration, *given)
     return out
 
 
