@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 SLOPE_STD_RAD = 0.03
 """Before anything is known; Prague's steepest tram track has 0.09."""
+DOUBTED = 2.25
+"""Variance of a height over the stated one, until it has been seen: receivers are too sure of
+themselves in streets."""
 STEP = 1.1
 """What is learned of heights is told to the filter when it is off by this factor."""
 HEIGHT_NOISE_M = 0.3
@@ -94,9 +97,11 @@ class FilterMemory:
     datum_m: float = math.nan
     """Height of the first fix, from which heights are counted."""
     fix_variance: float = 1.0
-    fix_error: FixErrorMemory = field(default_factory=FixErrorMemory)
+    fix_error: FixErrorMemory = field(
+        default_factory=lambda: FixErrorMemory(whole=DOUBTED, part=DOUBTED)
+    )
     """Of heights, over what the receiver states."""
-    fix_share: float = 1.0
+    fix_share: float = DOUBTED
     """The largest variance over the stated one that heights have been doubted for."""
     refused: int = 0
     """Heights, in a row."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter, lfilter_zi
 
 from tramstream import keys
 from tramstream.clock import S
@@ -23,7 +24,6 @@ from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import WheelReading
 from tramstream.proto.sync_pb2 import SyncFrame
-from tramstream.simulation.springs import NODES_HZ, Oscillator
 
 Array = NDArray[np.float64]
 START_NS = 1_790_000_000 * S
@@ -31,10 +31,8 @@ FRAME_S = 0.02
 """Half as many frames as live: a ride of three minutes takes a second."""
 FIX_FRAMES = 10
 GRAVITY = 9.81
-JERK_S = 1.0
-"""In which an acceleration begins, and ends."""
-SPRINGS_HZ, SPRINGS_DAMPING = 1.2, 0.25
-"""Of the scenario `tram`."""
+FOLLOWED_S = 0.1
+"""By which springs follow a force; how they swing as well is in `reproduce grade`."""
 M_PER_PULSE = 0.001
 DRAG = 9.13
 
@@ -83,12 +81,10 @@ class Slopes:
         phase = np.mod(time_s - self.dwell_s, self.run_s + self.dwell_s)
         moving = (time_s >= self.dwell_s) & (phase < self.run_s)
         braking = phase > self.run_s - ramp
+        speed = np.minimum(phase, self.run_s - phase) * self.acceleration_mps2
+        speed = np.where(moving, np.clip(speed, 0.0, self.cruise_mps), 0.0)
         pushing = moving & ((phase < ramp) | braking)
         change = np.where(pushing, np.where(braking, -1.0, 1.0) * self.acceleration_mps2, 0.0)
-        rising = round(JERK_S / FRAME_S)
-        change = np.convolve(change, np.full(rising, 1.0 / rising))[: len(change)]
-        speed = np.cumsum(change) * FRAME_S
-        speed = np.where(np.abs(speed) < 1e-9, 0.0, speed)
         speed, change = self.direction * speed, self.direction * change
         return speed, change, np.cumsum(speed) * FRAME_S
 
@@ -98,11 +94,12 @@ class Slopes:
         return slope
 
     def followed(self, force: Array) -> Array:
-        """The force that springs have followed: they swing, with 1.2 Hz."""
-        nodes_s = np.arange(math.ceil(self.duration_s * NODES_HZ) + 2) / NODES_HZ
-        felt = np.interp(nodes_s, self.time_s, force)
-        swung: Array = Oscillator(felt, SPRINGS_HZ, SPRINGS_DAMPING).at(self.time_s)[0]
-        return swung
+        """The force that springs have followed."""
+        keep = math.exp(-FRAME_S / FOLLOWED_S)
+        start = lfilter_zi([1.0 - keep], [1.0, -keep]) * force[0]
+        followed, _ = lfilter([1.0 - keep], [1.0, -keep], force, zi=start)
+        felt: Array = np.asarray(followed)
+        return felt
 
     # What is told --------------------------------------------------------------------------------
     @property
