@@ -140,7 +140,7 @@ class FixNoise:
     @property
     def _up_share(self) -> float:
         """Variance of a height's error over the stated one; nothing of it counts as slow."""
-        return max(self._learned_up.fast, 1.0)
+        return self._learned_up.size
 
     @property
     def _scale(self) -> float:
