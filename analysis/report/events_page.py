@@ -39,6 +39,7 @@ TABLES: dict[ModuleType, str] = {
     matching: "Map matcher",
     distance: "Distance and speed",
     grade: "Slope of the track",
+    segments: "Stops, turns and the place on a line",
     configuration: "Configuration against the data",
     supervision: "Processes",
     recorder: "Recorder",

@@ -10,21 +10,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tramstream.clock import S
 from tramstream.config import Vehicle
+from tramstream.estimation.fix_error import FixError, FixErrorMemory
 from tramstream.estimation.fixes import deviations, measures_height, unusable
 from tramstream.estimation.localiser import Verdict
 from tramstream.machine.kernels import bound
 from tramstream.processors.grade import kernels
 from tramstream.processors.grade.kernels import STATES, Ix
 from tramstream.processors.grade.own_speed import OwnSpeed, SpeedMemory
+from tramstream.processors.grade.said import Said
 from tramstream.processors.grade.settings import GradeSettings
-from tramstream.processors.grade.waiting import State
+from tramstream.processors.grade.waiting import Place, State
 from tramstream.proto.gnss_pb2 import GnssFix
 from tramstream.proto.raw_pb2 import Odometry
 
@@ -32,8 +33,11 @@ Array = NDArray[np.float64]
 
 SLOPE_STD_RAD = 0.03
 """Before anything is known; Prague's steepest tram track has 0.09."""
-FIX_STDS = 1.5
-"""A height is worse than the receiver says, which is too sure of itself in streets."""
+DOUBTED = 2.25
+"""Variance of a height over the stated one, until it has been seen: receivers are too sure of
+themselves in streets."""
+STEP = 1.1
+"""What is learned of heights is told to the filter when it is off by this factor."""
 HEIGHT_NOISE_M = 0.3
 """White part of a fix's height."""
 LEAST_FIX_STD_M = 0.5
@@ -54,6 +58,8 @@ REFUSALS = 20
 """So many heights refused in a row: the receiver has another height now."""
 HEIGHT_STD_M = 100.0
 OWN_SPEED_STD_MPS = 0.1
+NAN = math.nan
+_MASS = int(Ix.MASS)
 LOST_S = 1.0
 """A localiser that is silent for so long is away."""
 
@@ -65,26 +71,12 @@ UNKNOWN = State(
     acceleration_mps2=0.0,
     pitch_rad=math.nan,
     pitch_variance=SLOPE_STD_RAD**2,
+    level_error_rad=math.nan,
+    level_variance=0.0,
     standing=False,
     mapped=False,
 )
 """What stands for a localiser that is away."""
-
-
-class Estimate(NamedTuple):
-    """The slope at one instant."""
-
-    slope_rad: float
-    variance: float
-    nod_rad: float
-    """Of the body against the track, nose down positive."""
-    nod_variance: float
-    bend_per_m: float
-    mass: float
-    """By that of the settings,"""
-    mass_std: float
-    rolling: float
-    rolling_std: float
 
 
 @dataclass
@@ -93,15 +85,24 @@ class FilterMemory:
 
     x: Array = field(default_factory=lambda: np.zeros(STATES))
     P: Array = field(default_factory=lambda: np.zeros((STATES, STATES)))
-    scatter: Array = field(default_factory=lambda: np.zeros(1))
+    shaking: Array = field(default_factory=lambda: np.zeros(2))
+    """See `kernels.follow`."""
     stamp_ns: int = 0
     state_ns: int = 0
     """Of the last state of the localiser."""
     state: State = UNKNOWN
     """The last one, or what stands for it."""
+    level_error_rad: float = math.nan
+    """The last one that a localiser has told."""
     datum_m: float = math.nan
     """Height of the first fix, from which heights are counted."""
     fix_variance: float = 1.0
+    fix_error: FixErrorMemory = field(
+        default_factory=lambda: FixErrorMemory(whole=DOUBTED, part=DOUBTED)
+    )
+    """Of heights, over what the receiver states."""
+    fix_share: float = DOUBTED
+    """The largest variance over the stated one that heights have been doubted for."""
     refused: int = 0
     """Heights, in a row."""
     forces: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
@@ -123,8 +124,12 @@ class GradeFilter:
         self._own = OwnSpeed(vehicle.wheels.m_per_pulse, memory.own)
         if not memory.P.any():
             self._begin()
+        self._fix_error = FixError(self._tau_s, memory.fix_error, axes=1)
+        self.said = said = Said()
         x, P, number = memory.x, memory.P, 0.5
-        self._follow = bound(kernels.follow, x, P, memory.scatter, *[number] * 9)
+        constants = np.array([self._shift_m, self._tau_s, settings.mass_kg])
+        self._arrays = x, P, memory.shaking, constants, said.numbers, said.encoded
+        self._step = bound(kernels.step, *self._arrays, *[number] * 12)
         self._take_height = bound(kernels.take_height, x, P, *[number] * 4)
         self._take_climb = bound(kernels.take_climb, x, P, *[number] * 5)
         self._take_force = bound(kernels.take_force, x, P, *[number] * 5, False)
@@ -144,38 +149,49 @@ class GradeFilter:
         memory.P[:] = np.diag(stds**2)
 
     # A frame -------------------------------------------------------------------------------------
-    def step(self, stamp_ns: int, state: State | None) -> Estimate | None:
-        """Go on to a frame, with the localiser's state of it; None while nobody says a speed."""
+    def step(self, stamp_ns: int, state: State | None, place: Place) -> bool:
+        """Go on to a frame, with the localiser's state of it; False while nobody says a speed.
+
+        What is found is in `said`, with the chainage that follows from the last match.
+        """
         memory = self.memory
-        dt_s = (stamp_ns - memory.stamp_ns) / S if memory.stamp_ns else 0.0
+        before = memory.stamp_ns
         memory.stamp_ns = stamp_ns
-        pitch, before = math.nan, memory.state.pitch_variance
+        dt_s = (stamp_ns - before) / S if before else 0.0
+        variance, pitch, changed = memory.state.pitch_variance, NAN, NAN
         if state is not None:
             memory.state, memory.state_ns, pitch = state, state.stamp_ns, state.pitch_rad
+            if pitch == pitch:
+                changed = state.level_error_rad - memory.level_error_rad
+                memory.level_error_rad = state.level_error_rad
         elif self.away:
             self._go_alone(stamp_ns)
         if not memory.state_ns and not memory.own.speed_ns:
-            return None
-        now, way_m = memory.state, 0.0
+            return False
+        now, way_m, chainage_m = memory.state, 0.0, 0.0
+        if place.run >= 0:
+            old_s = (stamp_ns - place.stamp_ns) / S
+            chainage_m = place.chainage_m + abs(now.speed_mps) * old_s
         if now.standing:
-            memory.P[Ix.MASS, Ix.MASS] += MASS_WALK * MASS_WALK * dt_s / STOP_S
+            memory.P[_MASS, _MASS] += MASS_WALK * MASS_WALK * dt_s / STOP_S
         else:
             way_m = now.speed_mps * dt_s
-        found = self._follow(
-            memory.x,
-            memory.P,
-            memory.scatter,
+        self._step(
+            *self._arrays,
             dt_s,
             way_m,
-            self._shift_m,
-            pitch,
+            now.speed_mps,
             now.acceleration_mps2,
+            pitch,
             now.pitch_variance,
-            before,
+            variance,
+            changed,
+            now.level_variance,
             memory.fix_variance,
-            self._tau_s,
+            chainage_m,
+            place.probability,
         )
-        return Estimate(*found)
+        return True
 
     def _go_alone(self, stamp_ns: int) -> None:
         """Go on by wheels and fixes, without a localiser."""
@@ -212,8 +228,9 @@ class GradeFilter:
         height_m = fix.height_ellipsoid_m
         if math.isnan(memory.datum_m):
             memory.datum_m = height_m
-        std = max(FIX_STDS * deviations(fix, LEAST_FIX_STD_M)[1], LEAST_FIX_STD_M)
-        memory.fix_variance = std * std
+        std, share = deviations(fix, LEAST_FIX_STD_M)[1], self._fix_error.size
+        self._doubt_heights(share)
+        memory.fix_variance = share * std * std
         y, S_, fits = self._take_height(
             memory.x,
             memory.P,
@@ -222,11 +239,24 @@ class GradeFilter:
             HEIGHT_NOISE_M * HEIGHT_NOISE_M,
             GATE,
         )
+        error_m = float(memory.x[Ix.FIX_ERROR]) + (0.0 if fits else y)
+        self._fix_error.see(fix.stamp_ns, error_m, 0.0, std)
         memory.refused = 0 if fits else memory.refused + 1
         if memory.refused >= REFUSALS:
             memory.refused = 0
             memory.P[Ix.HEIGHT, Ix.HEIGHT] += HEIGHT_STD_M * HEIGHT_STD_M
         return Verdict("gnss_height", y, S_, fits)
+
+    def _doubt_heights(self, share: float) -> None:
+        """Take what heights have told until now for as wrong as they turn out to be."""
+        memory = self.memory
+        if share > STEP * memory.fix_share:
+            P, h, e = memory.P, int(Ix.HEIGHT), int(Ix.FIX_ERROR)
+            more = (share / memory.fix_share - 1.0) * P[e, e]
+            P[h, h] += more
+            P[e, e] += more
+            P[h, e] = P[e, h] = P[h, e] - more
+            memory.fix_share = share
 
     def _climb(self, fix: GnssFix) -> Verdict:
         memory = self.memory

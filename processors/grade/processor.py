@@ -33,16 +33,18 @@ from tramstream.processors.grade.events import (
     PITCH_CONTRADICTS,
     SUSPENSION_CONTRADICTS,
 )
-from tramstream.processors.grade.filter import Estimate, FilterMemory, GradeFilter
+from tramstream.processors.grade.filter import FilterMemory, GradeFilter
 from tramstream.processors.grade.in_use import InUse, InUseMemory
 from tramstream.processors.grade.kernels import Ix
+from tramstream.processors.grade.said import Of
 from tramstream.processors.grade.settings import GradeSettings
 from tramstream.processors.grade.stopping import stop
 from tramstream.processors.grade.waiting import (
     NOWHERE,
+    Frame,
     Late,
     Place,
-    Taken,
+    State,
     Waiting,
     WaitingMemory,
 )
@@ -54,18 +56,18 @@ from tramstream.processors.grade.way_ahead import (
 )
 from tramstream.proto.estimate_pb2 import (
     FilterParameters,
-    GradeState,
     GradeStopping,
     Parameter,
     StoppingDistance,
 )
+from tramstream.proto.gnss_pb2 import GnssFix
+from tramstream.proto.raw_pb2 import Odometry
 from tramstream.proto.sync_pb2 import LateSample, SyncFrame
 from tramstream.tracks import network as networks
 
+_MATCH = keys.MAP_MATCH.path
 STOPPING_EVERY_NS = S // 2
-LEAST_STD_RAD = 1e-4
-"""A rail is no line: slopes of neighbouring metres differ by a hundredth of a percent."""
-MATCHED_S = 0.5
+MATCHED_NS = S // 2
 """A match that is older says nothing of now."""
 KNOWN_PART = 0.02
 """A mass that is known by that is told."""
@@ -125,6 +127,7 @@ class GradeEstimator(Processor):
         super().__init__(vehicle)
         settings, memory = self.settings, self.memory
         self._source = followed("grade.source", settings.source)
+        self._source_path = self._source.path
         self.inputs = (keys.SYNC_FRAME, self._source, keys.MAP_MATCH)
         mapped = vehicle.map is not None or vehicle.ekf.track == "always"
         self._waiting = Waiting(settings.delay_s, mapped, memory.waiting)
@@ -132,25 +135,26 @@ class GradeEstimator(Processor):
         self._in_use = InUse(memory.in_use)
         self._way = _way_of(vehicle)
         self._stop = bound(stop, known_now(0.0, 1.0, 0.0).slopes, 0.5, 0.5, 0.5)
-        self._mass_kg = settings.mass_kg
         self._late_recorded: Late | None = None
 
     def step(self, sample: Sample) -> list[Sample]:
         path = sample.key.path
-        if path == self._source.path:
-            return self._name_late(self._waiting.take_state(sample), sample)
-        if path == keys.MAP_MATCH.path:
-            return self._name_late(self._waiting.take_match(sample), sample)
-        frame: SyncFrame = sample.message
+        if path == self._source_path:
+            late = self._waiting.take_state(sample)
+        elif path == _MATCH:
+            late = self._waiting.take_match(sample)
+        else:
+            return self._take_frame(sample.message)
+        return [] if late is None else self._name_late(late, sample)
+
+    def _take_frame(self, frame: SyncFrame) -> list[Sample]:
         self._waiting.take_frame(frame)
         made: list[Sample] = []
         for taken in self._waiting.due(frame.stamp_ns):
-            made += self._take(taken)
+            made += self._take(*taken)
         return made
 
-    def _name_late(self, late: LateSample | None, sample: Sample) -> list[Sample]:
-        if late is None:
-            return []
+    def _name_late(self, late: LateSample, sample: Sample) -> list[Sample]:
         named = LateSample()
         named.CopyFrom(late)
         if self._late_recorded is not None:  # with the number that it had live
@@ -158,84 +162,65 @@ class GradeEstimator(Processor):
         return [self.emit(keys.EST_GRADE_LATE, named, sample.stamp_ns)]
 
     # A frame -------------------------------------------------------------------------------------
-    def _take(self, taken: Taken) -> list[Sample]:
-        frame, state, place = taken
-        stamp_ns, memory, use = frame.stamp_ns, self.memory, self._in_use.use
-        if place is not None:
-            memory.place = place
+    def _take(self, frame: Frame, state: State | None, place: Place | None) -> list[Sample]:
+        stamp_ns, odometry, fixes = frame
+        memory, filter_, uses = self.memory, self._filter, self._in_use
         if state is not None:
-            use(in_use.ACCELEROMETER, stamp_ns)
+            uses.use(in_use.ACCELEROMETER, stamp_ns)
             if state.mapped:
-                use(in_use.MAP, stamp_ns)
-        for reading in frame.odometry:
-            use(in_use.ODOMETRY, stamp_ns)
-            self._filter.take_odometry(reading)
-        estimate = self._filter.step(stamp_ns, state)
-        message = GradeState()
-        for reading in frame.odometry:
-            if reading.HasField("motor_force_n"):
-                self._note(message, self._filter.take_force(reading.motor_force_n))
-        for fix in frame.fixes:
-            for verdict in self._filter.take_fix(fix):
-                self._note(message, verdict)
-        if estimate is None:
+                uses.use(in_use.MAP, stamp_ns)
+        if odometry:
+            uses.use(in_use.ODOMETRY, stamp_ns)
+            for reading in odometry:
+                filter_.take_odometry(reading)
+        if place is None:
+            place = memory.place
+        else:
+            memory.place = place
+        if place.run < 0 or not stamp_ns - place.stamp_ns < MATCHED_NS:
+            place = NOWHERE
+        known = filter_.step(stamp_ns, state, place)
+        verdicts = self._hear(odometry, fixes) if odometry or fixes else ()
+        if not known:
             return []
-        self._fill(message, estimate, stamp_ns)
+        names = uses.names(stamp_ns)
+        message = filter_.said.message(memory.forced, place.edge, place.run, names)
+        for name, value, variance, accepted in verdicts:
+            message.innovations.add(
+                measurement=name, value=value, variance=variance, accepted=accepted
+            )
         made = [self.emit(keys.EST_GRADE, message, stamp_ns)]
         if not 0 <= stamp_ns - memory.stopped_ns < STOPPING_EVERY_NS:
             memory.stopped_ns = stamp_ns
-            made.append(self.emit(keys.EST_STOPPING, self._stopping(estimate), stamp_ns))
+            made.append(self.emit(keys.EST_STOPPING, self._stopping(), stamp_ns))
         second = stamp_ns // S
         if second != memory.second:
             memory.second = second
             made += self._each_second(stamp_ns)
         return made
 
-    def _note(self, message: GradeState, verdict: Verdict | None) -> None:
-        """Take note of what a measurement told."""
-        if verdict is None:
-            return
-        if verdict.accepted:
-            self._in_use.use(verdict.measurement, self.memory.filter.stamp_ns)
-            self.memory.forced = self.memory.forced or verdict.measurement == in_use.MOTOR_FORCE
-        message.innovations.add(
-            measurement=verdict.measurement,
-            value=verdict.innovation,
-            variance=verdict.variance,
-            accepted=verdict.accepted,
-        )
-
-    def _fill(self, message: GradeState, estimate: Estimate, stamp_ns: int) -> None:
-        """Put an estimate into its message, field by field: by keywords it takes twice as long."""
-        message.grade_rad = estimate.slope_rad
-        message.grade_std_rad = math.sqrt(estimate.variance + LEAST_STD_RAD * LEAST_STD_RAD)
-        message.body_pitch_rad = estimate.nod_rad
-        message.body_pitch_std_rad = math.sqrt(
-            max(estimate.nod_variance, 0.0) + LEAST_STD_RAD * LEAST_STD_RAD
-        )
-        speed = self.memory.filter.state.speed_mps
-        message.speed_mps = speed
-        place = self.memory.place
-        old_s = (stamp_ns - place.stamp_ns) / S
-        if place.run >= 0 and old_s < MATCHED_S:
-            message.edge, message.run = place.edge, place.run
-            message.chainage_m = place.chainage_m + abs(speed) * old_s
-            message.probability = place.probability
-        else:
-            message.run = -1
-        message.inputs.extend(self._in_use.names(stamp_ns))
-        if self.memory.forced:
-            scale = self._mass_kg
-            message.mass_kg, message.mass_std_kg = estimate.mass * scale, estimate.mass_std * scale
-            message.rolling_resistance = estimate.rolling
-            message.rolling_resistance_std = estimate.rolling_std
+    def _hear(self, odometry: list[Odometry], fixes: list[GnssFix]) -> list[Verdict]:
+        """Take force and fixes of a frame; what they told, accepted or not."""
+        memory, found = self.memory, []
+        for reading in odometry:
+            if reading.HasField("motor_force_n"):
+                verdict = self._filter.take_force(reading.motor_force_n)
+                if verdict is not None:
+                    memory.forced = memory.forced or verdict.accepted
+                    found.append(verdict)
+        for fix in fixes:
+            found += self._filter.take_fix(fix)
+        for verdict in found:
+            if verdict.accepted:
+                self._in_use.use(verdict.measurement, memory.filter.stamp_ns)
+        return found
 
     # Distances to stop ---------------------------------------------------------------------------
-    def _stopping(self, estimate: Estimate) -> GradeStopping:
+    def _stopping(self) -> GradeStopping:
         """Distances to stop from now on."""
         now = self.memory.filter.state
         forwards, speed = -1.0 if now.speed_mps < 0.0 else 1.0, abs(now.speed_mps)
-        ahead = self._ahead(estimate, forwards)
+        ahead = self._ahead(forwards)
         message = GradeStopping(speed_mps=now.speed_mps, mapped_m=ahead.mapped_m)
         longest_m = 0.0
         for deceleration in self.settings.decelerations_mps2:
@@ -252,13 +237,15 @@ class GradeEstimator(Processor):
         message.grade_ahead_rad = ahead.mean_to(longest_m)
         return message
 
-    def _ahead(self, estimate: Estimate, forwards: float) -> Ahead:
+    def _ahead(self, forwards: float) -> Ahead:
         # The slope seen in the direction of motion turns its sign with it, its bend does not.
-        here = known_now(forwards * estimate.slope_rad, estimate.variance, estimate.bend_per_m)
+        numbers = self._filter.said.numbers
+        slope, variance, bend = (float(numbers[k]) for k in (Of.SLOPE, Of.VARIANCE, Of.BEND))
+        here = known_now(forwards * slope, variance, bend)
         place = self.memory.place
         if self._way is None or place.run < 0 or place.probability < LEAST_PROBABILITY:
             return here
-        if self.memory.filter.stamp_ns - place.stamp_ns > MATCHED_S * S:
+        if self.memory.filter.stamp_ns - place.stamp_ns > MATCHED_NS:
             return here
         return self._way.of(place.run, place.chainage_m, here)
 

@@ -12,11 +12,12 @@ from bisect import insort
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import isfinite, nan
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 from tramstream.clock import S
+from tramstream.estimation.localiser import HEADING_UNKNOWN
 from tramstream.processor import Ledger, Sample
 from tramstream.proto.estimate_pb2 import MapMatch, MotionState
 from tramstream.proto.gnss_pb2 import GnssFix
@@ -50,7 +51,12 @@ class State(NamedTuple):
     speed_std_mps: float
     acceleration_mps2: float
     pitch_rad: float
+    """NaN while the vehicle goes with its heading unknown: then it is that of where it stood."""
     pitch_variance: float
+    level_error_rad: float
+    """By which the accelerometer shows more pitch than that; NaN if its localiser does not say."""
+    level_variance: float
+    """Of their sum."""
     standing: bool
     mapped: bool
     """Whether it has just taken the map's slope."""
@@ -84,13 +90,8 @@ class WaitingMemory:
     ledger: Ledger = field(default_factory=lambda: Ledger("grade", "states and matches"))
 
 
-class Taken(NamedTuple):
-    """A frame, and what belongs to it."""
-
-    frame: Frame
-    state: State | None
-    """The newest since the frame before; None: there was none."""
-    place: Place | None
+Taken = tuple[Frame, State | None, Place | None]
+"""A frame, and the newest state and match since the frame before; None: there was none."""
 
 
 class Waiting:
@@ -122,41 +123,56 @@ class Waiting:
     # What comes ----------------------------------------------------------------------------------
     def take_frame(self, message: SyncFrame) -> None:
         """Let a frame wait."""
-        # Copies: to go through what protobuf holds takes three times as long.
-        frame = Frame(message.stamp_ns, message.odometry[:], message.gnss[:])
-        frames = self.memory.frames
-        if not frames or frame.stamp_ns > frames[-1].stamp_ns:
-            frames.append(frame)
+        frames, stamp_ns = self.memory.frames, message.stamp_ns
+        if not frames or stamp_ns > frames[-1][0]:
+            # Copies: to go through what protobuf holds takes three times as long.
+            frames.append(Frame(stamp_ns, message.odometry[:], message.gnss[:]))
 
     def take_state(self, sample: Sample) -> LateSample | None:
         """Let a state wait; gives what names it if it is late."""
-        late = self._late(sample, len(self.memory.states))
-        if late is None:
-            state = _state_of(sample.message, self._mapped)
-            states = self.memory.states
-            if state is None:
-                self.memory.ledger.dropped += 1
-            elif not states or states[-1].stamp_ns <= state.stamp_ns:
-                states.append(state)
-            else:
-                insort(states, state, key=_STAMP)
-        return late
+        memory = self.memory
+        states = memory.states
+        memory.ledger.received += 1
+        if (
+            self._recorded is not None
+            or not memory.taken_ns < sample.stamp_ns
+            or len(states) >= MOST
+        ):
+            late = self._late(sample, len(states))
+            if late is not None:
+                return late
+        state = _state_of(sample.message, self._mapped)
+        if state is None:
+            memory.ledger.dropped += 1
+        elif not states or states[-1][0] <= state[0]:
+            states.append(state)
+        else:
+            insort(states, state, key=_STAMP)
+        return None
 
     def take_match(self, sample: Sample) -> LateSample | None:
         """Let a match wait; gives what names it if it is late."""
-        late = self._late(sample, len(self.memory.places))
-        if late is None:
-            place = _place_of(sample.message)
-            places = self.memory.places
-            if not places or places[-1].stamp_ns <= place.stamp_ns:
-                places.append(place)
-            else:
-                insort(places, place, key=_STAMP)
-        return late
+        memory = self.memory
+        places = memory.places
+        memory.ledger.received += 1
+        if (
+            self._recorded is not None
+            or not memory.taken_ns < sample.stamp_ns
+            or len(places) >= MOST
+        ):
+            late = self._late(sample, len(places))
+            if late is not None:
+                return late
+        place = _place_of(sample.message)
+        if not places or places[-1][0] <= place[0]:
+            places.append(place)
+        else:
+            insort(places, place, key=_STAMP)
+        return None
 
     def _late(self, sample: Sample, waiting: int) -> LateSample | None:
+        """What names a sample that is late, or one too many; None: it is neither."""
         memory, recorded = self.memory, self._recorded
-        memory.ledger.received += 1
         if recorded is not None:
             known = recorded.get((sample.key.path, sample.stamp_ns, sample.sequence))
             memory.ledger.dropped += known is not None
@@ -175,21 +191,24 @@ class Waiting:
     def due(self, frame_ns: int) -> list[Taken]:
         """Give what is taken up when a frame of an instant has come, in order."""
         memory, limit_ns = self.memory, frame_ns - self._delay_ns
+        frames, states, places = memory.frames, memory.states, memory.places
         found = []
-        while memory.frames and memory.frames[0].stamp_ns <= limit_ns:
-            frame = memory.frames.popleft()
-            stamp_ns = memory.taken_ns = frame.stamp_ns
-            state = self._newest(memory.states, stamp_ns)
-            found.append(Taken(frame, state, self._newest(memory.places, stamp_ns)))
+        while frames and frames[0][0] <= limit_ns:
+            frame = frames.popleft()
+            stamp_ns = memory.taken_ns = frame[0]
+            state = place = None
+            if states and states[0][0] <= stamp_ns:
+                state = self._newest(states, stamp_ns)
+            if places and places[0][0] <= stamp_ns:
+                place = self._newest(places, stamp_ns)
+            found.append((frame, state, place))
         return found
 
-    def _newest(self, waiting: list[Row], stamp_ns: int) -> Row | None:
-        """Take off what waits for a frame; the last of it counts."""
-        count = 0
-        while count < len(waiting) and waiting[count].stamp_ns <= stamp_ns:
+    def _newest(self, waiting: list[Row], stamp_ns: int) -> Row:
+        """Take off what waits for a frame, one or more; the last of it counts."""
+        count = 1
+        while count < len(waiting) and waiting[count][0] <= stamp_ns:
             count += 1
-        if not count:
-            return None
         newest = waiting[count - 1]
         del waiting[:count]
         self.memory.ledger.delivered += count
@@ -211,6 +230,11 @@ def _state_of(message: MotionState, mapped: bool) -> State | None:
     speed, acceleration, pitch = message.speed_mps, message.acceleration_mps2, message.pitch_rad
     if not (isfinite(speed + acceleration + pitch + variance) and variance >= 0.0):
         return None
+    standing, level, std = message.standing, nan, 0.0
+    if message.HasField("level_error_rad"):
+        level, std = message.level_error_rad, message.level_std_rad
+    if message.mode == HEADING_UNKNOWN and not standing:
+        pitch = nan
     return State(
         message.stamp_ns,
         speed,
@@ -218,7 +242,9 @@ def _state_of(message: MotionState, mapped: bool) -> State | None:
         acceleration,
         pitch,
         variance,
-        message.standing,
+        level if isfinite(level + std) else nan,
+        std * std,
+        standing,
         mapped and _takes_slope(message),
     )
 

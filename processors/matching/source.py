@@ -183,6 +183,7 @@ class States(Source):
             *(east, north, up, speed, message.roll_rad, message.pitch_rad, yaw + lean),
             message.acceleration_mps2,
             message.yaw_rate_radps,
+            *(0.0, 0.0),  # its level is of no use here
         ]
         numbers += message.covariance[:]  # a copy: three times as fast as protobuf's own
         if len(numbers) != COVARIANCE + UPPER:

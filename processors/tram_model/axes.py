@@ -11,7 +11,7 @@ import numpy as np
 
 from tramstream.estimation import localiser
 from tramstream.estimation.kalman import Array, compiled
-from tramstream.estimation.localiser import ACCELERATION, YAW_RATE
+from tramstream.estimation.localiser import ACCELERATION, LEVEL_ERROR, LEVEL_STD, YAW_RATE
 from tramstream.processors.tram_model.map_shift import weigh_map
 from tramstream.processors.tram_model.records import (
     INERTIAL,
@@ -19,6 +19,7 @@ from tramstream.processors.tram_model.records import (
     PARAMETERS,
     Inertial,
     Memory,
+    Parameters,
     Z,
 )
 from tramstream.processors.tram_model.states import SIZE, Ix
@@ -250,16 +251,35 @@ def origin(f: Memory, share: float, facing: bool, motion: Array, covariance: Arr
 
 
 @compiled
-def fill_estimate(f: Memory, share: float, facing: bool, values: Array) -> None:
+def fill_estimate(f: Memory, c: Parameters, facing: bool, values: Array) -> None:
     """Fill the values of an estimate (`estimation.localiser`) with the motion of the origin."""
-    origin(f, share, facing, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
+    origin(f, c.clock_share, facing, values[:ACCELERATION], values[_OF_MOTION:].reshape((7, 7)))
     values[ACCELERATION], values[YAW_RATE] = f.acceleration, f.yaw_rate
+    values[LEVEL_ERROR] = values[LEVEL_STD] = math.nan
+
+
+@compiled
+def fill_level(f: Memory, c: Parameters, values: Array) -> None:
+    """Fill in what the accelerometer shows: θ + ℓ = −f_x/g standing, ℓ = m_θ − b_x/g.
+
+    Fixes and a map move θ and ℓ against each other; the force ties their sum.
+    """
+    P, per_g = f.P, 1.0 / c.gravity
+    if P[Ix.ACCEL_X, Ix.ACCEL_X] <= 0.0:  # without an accelerometer
+        return
+    values[LEVEL_ERROR] = f.x[Ix.MOUNT_PITCH] - per_g * f.x[Ix.ACCEL_X]
+    tilted = P[Ix.PITCH, Ix.PITCH] + P[Ix.MOUNT_PITCH, Ix.MOUNT_PITCH]
+    tilted += 2.0 * P[Ix.PITCH, Ix.MOUNT_PITCH]
+    biased = P[Ix.PITCH, Ix.ACCEL_X] + P[Ix.MOUNT_PITCH, Ix.ACCEL_X]
+    variance = tilted + per_g * (per_g * P[Ix.ACCEL_X, Ix.ACCEL_X] - 2.0 * biased)
+    values[LEVEL_STD] = math.sqrt(max(variance, 0.0))
 
 
 @compiled
 def estimate(memory: Array, parameters: Array, facing: bool, values: Array) -> None:
     """Fill the values of an estimate out of the filter's memory; see `origin`."""
     f, c = memory.view(MEMORY)[0], parameters.view(PARAMETERS)[0]
-    fill_estimate(f, c.clock_share, facing, values)
+    fill_estimate(f, c, facing, values)
+    fill_level(f, c, values)
     if facing:
         weigh_map(f, c, values)

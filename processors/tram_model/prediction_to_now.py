@@ -95,7 +95,7 @@ def estimate_ahead(
     f, c, s = ahead.view(MEMORY)[0], parameters.view(PARAMETERS)[0], situation.view(SITUATION)[0]
     unseen = kept.view(KEPT)[begin:end]
     _predict(memory.view(MEMORY)[0], f, c, s, unseen, mean.view(READING)[0])
-    fill_estimate(f, c.clock_share, True, values)
+    fill_estimate(f, c, True, values)
     weigh_map(memory.view(MEMORY)[0], c, values)
 
 

@@ -14,10 +14,15 @@ from typing import NamedTuple
 
 from tramstream.estimation.kalman import Array, compiled
 from tramstream.processors.tram_model.measurement import EVERY, SCALAR_GATE
-from tramstream.processors.tram_model.records import MEMORY
+from tramstream.processors.tram_model.records import MEMORY, PARAMETERS
 from tramstream.processors.tram_model.states import Ix
 from tramstream.processors.tram_model.update import columns_of, update_row
 
+NOD_RAD_PER_MPS2 = 0.005
+"""Springs of a Tatra T3's kind give by 0.3° for each m/s² (scenario `tram`)."""
+NODS_M = 100.0
+"""So long a body nods alike: the way of a departure or a braking, over which a grade is taken once
+a metre."""
 _PLACE = columns_of(Ix.EAST, Ix.NORTH, Ix.MAP_EAST, Ix.MAP_NORTH)
 _HEADING = columns_of(Ix.EAST, Ix.NORTH, Ix.YAW, Ix.MAP_EAST, Ix.MAP_NORTH)
 _PITCH = columns_of(Ix.PITCH)
@@ -110,19 +115,36 @@ class TrackHeading(NamedTuple):
 
 
 @compiled
-def take_grade(memory: Array, grade: float, R: float, gate: float) -> None:
+def nod_variance(force_mps2: float) -> float:
+    """Variance that springs add to a grade that is taken for the body's pitch, rad².
+
+    Parameters
+    ----------
+    force_mps2 : float
+        Specific force along the track.
+    """
+    nod = NOD_RAD_PER_MPS2 * force_mps2
+    return nod * nod * NODS_M
+
+
+@compiled
+def take_grade(
+    memory: Array, parameters: Array, grade: float, variance: float, gate: float
+) -> None:
     """Take the grade of a track; see `TrackGrade`."""
-    f = memory.view(MEMORY)[0]
+    f, c = memory.view(MEMORY)[0], parameters.view(PARAMETERS)[0]
+    R = variance + nod_variance(f.acceleration + c.gravity * grade)
     f.H[0, Ix.PITCH] = 1.0
     f.y[0] = -grade - f.x[Ix.PITCH]
     update_row(f, 0, _PITCH, R, gate)
 
 
 class TrackGrade(NamedTuple):
-    """Grade of the track, uphill positive along x of the vehicle; taken as a rigid body's pitch."""
+    """Grade of the track, uphill positive along x of the vehicle; taken for the body's pitch."""
 
     grade_rad: float
     variance_rad2: float
+    """Of the grade; what springs may add is added to it."""
     gate: float = SCALAR_GATE
 
     @property
@@ -134,4 +156,4 @@ class TrackGrade(NamedTuple):
         return EVERY
 
     def update(self, memory: Array, parameters: Array, situation: Array) -> None:
-        take_grade(memory, *self)
+        take_grade(memory, parameters, *self)

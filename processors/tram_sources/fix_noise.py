@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from tramstream import keys
 from tramstream.clock import S
+from tramstream.estimation.fix_error import FixError, FixErrorMemory
 from tramstream.estimation.fixes import deviations
 from tramstream.estimation.localiser import Verdict
 from tramstream.events.kinds import Event
@@ -22,7 +23,6 @@ from tramstream.processors.tram_filter.events import RECEIVER_BOASTS
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model.slow_error import SlowError
 from tramstream.processors.tram_model.states import Ix
-from tramstream.processors.tram_sources.fix_error import FixError, FixErrorMemory
 from tramstream.processors.tram_sources.slow_fix_error import (
     SLOW_TAU_S,
     SlowFixError,
@@ -69,11 +69,15 @@ class FixNoiseMemory:
     """Of the last height."""
     fast: float = 1.0
     """The largest variance over the stated one that the place has been doubted for."""
+    up: float = 1.0
+    """The largest variance of heights over the stated one that the height has been doubted for."""
     slow_m: float = 0.0
     """Deviation that the slow error's state began with; 0 before the first fix."""
     boasts: bool = False
     """Whether the receiver has been said to."""
     learned: FixErrorMemory = field(default_factory=FixErrorMemory)
+    learned_up: FixErrorMemory = field(default_factory=FixErrorMemory)
+    """Of heights."""
     slow: SlowFixErrorMemory = field(default_factory=SlowFixErrorMemory)
     fix_ns: int = 0
     """Of the last fix."""
@@ -99,13 +103,13 @@ class FixNoise:
         self._tau_s, self._floor_m = tau_s, floor_m
         self.memory = memory
         self._learned = FixError(tau_s, memory.learned)
+        self._learned_up = FixError(tau_s, memory.learned_up, axes=1)
         self._slow = SlowFixError(tau_s, memory.slow)
 
     def deviations(self, fix: GnssFix) -> tuple[float, float]:
         """Deviation of each horizontal axis and of the height, as far as it is known."""
         std, std_up = deviations(fix, self._floor_m)
-        scale = self._scale
-        return scale * std, scale * std_up
+        return self._scale * std, math.sqrt(self._up_share) * std_up
 
     @property
     def std_m(self) -> float:
@@ -121,6 +125,7 @@ class FixNoise:
     def restart(self) -> None:
         """Compare errors of the fixes anew: the place was taken for another one until here."""
         self._learned.forget()
+        self._learned_up.forget()
         self._slow.forget()
 
     @property
@@ -131,6 +136,11 @@ class FixNoise:
         """
         drifts = self._slow.fast
         return max(self._learned.fast, drifts if drifts > BOASTED else 0.0)
+
+    @property
+    def _up_share(self) -> float:
+        """Variance of a height's error over the stated one; nothing of it counts as slow."""
+        return self._learned_up.size
 
     @property
     def _scale(self) -> float:
@@ -146,22 +156,27 @@ class FixNoise:
         """Let the error be what it is taken for at a fix of the stated deviations."""
         memory = self.memory
         memory.std_up_m = std_up
+        up_share = self._up_share
+        fast_up = std_up * math.sqrt(up_share)
         fast = std * math.sqrt(self._fast_share)
         if memory.std_m == 0.0 or not 1 / NEW_REGIME < std / memory.std_m < NEW_REGIME:
             if memory.std_m != 0.0:
                 ekf.set_states(Ix.GNSS_EAST, (0.0, 0.0, 0.0))
-            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (fast, fast, std_up))
+            ekf.forget((Ix.GNSS_EAST, Ix.GNSS_NORTH, Ix.GNSS_UP), (fast, fast, fast_up))
             self._renew_slow_error(ekf, std)
             memory.std_m = std
         self._set_fast_error(ekf)
+        if up_share > STEP * memory.up:
+            _doubt(ekf, Ix.UP, Ix.GNSS_UP, math.sqrt(up_share / memory.up - 1.0))
+            memory.up = up_share
         self._set_slow_error(ekf, memory.std_m * math.sqrt(self._slow_share))
         east, north, up = ekf.state[Ix.GNSS_EAST : Ix.GNSS_UP + 1]
         usual = HEAVY_SIGMA * max(fast, std)
         heavy = _bounded((east * east + north * north) / (usual * usual), max(fast, std))
-        heavy_up = _bounded((up / (HEAVY_SIGMA * std_up)) ** 2, std_up)
+        heavy_up = _bounded((up / (HEAVY_SIGMA * fast_up)) ** 2, fast_up)
         white = 1.0 - WHITE_SHARE**2
         density = 2.0 * white * fast * fast * heavy / self._tau_s
-        up_density = 2.0 * white * std_up * std_up * heavy_up / self._tau_s
+        up_density = 2.0 * white * fast_up * fast_up * heavy_up / self._tau_s
         ekf.set_fix_error(1.0 / self._tau_s, density, up_density)
 
     def _renew_slow_error(self, ekf: TramFilter, std: float) -> None:
@@ -180,7 +195,7 @@ class FixNoise:
         if fast > STEP * memory.fast:
             wider = math.sqrt(fast / memory.fast - 1.0)
             for state, error in ((Ix.EAST, Ix.GNSS_EAST), (Ix.NORTH, Ix.GNSS_NORTH)):
-                ekf.exchange(state, error, wider * math.sqrt(ekf.variances[error]))
+                _doubt(ekf, state, error, wider)
             memory.fast = fast
 
     def _set_slow_error(self, ekf: TramFilter, slow_m: float) -> None:
@@ -231,6 +246,11 @@ class FixNoise:
         said, memory.boasts = memory.boasts or not boasts, boasts
         return [] if said else [RECEIVER_BOASTS(key=_KEY, times=times, stated_m=std)]
 
+    def learn_height(self, stamp_ns: int, ekf: TramFilter, verdict: Verdict, std_up: float) -> None:
+        """Learn of the error that the height of the fix has by the filter's."""
+        up = ekf.state[Ix.GNSS_UP] + (0.0 if verdict.accepted else verdict.innovation)
+        self._learned_up.see(stamp_ns, up, 0.0, std_up)
+
     def _learn_drift(
         self,
         stamp_ns: int,
@@ -250,6 +270,11 @@ class FixNoise:
         drift_m = error_m[0] + memory.moved_east_m, error_m[1] + memory.moved_north_m
         if self._slow.see(stamp_ns, *drift_m, std, memory.way_m2):
             memory.way_m2 = 0.0
+
+
+def _doubt(ekf: TramFilter, state: Ix, error: Ix, wider: float) -> None:
+    """Take that what fixes have told of a place is their error, to a part more than thought."""
+    ekf.exchange(state, error, wider * math.sqrt(ekf.variances[error]))
 
 
 def _bounded(heavy: float, std: float) -> float:

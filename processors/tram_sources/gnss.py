@@ -209,6 +209,7 @@ class Fixes:
         found += self.noise.learn(fix.stamp_ns, ekf, verdicts, std, moved_m)
         if measures_height(fix):
             verdicts += ekf.apply(GnssHeight(z[2], white_up))
+            self.noise.learn_height(fix.stamp_ns, ekf, verdicts[2], std_up)
             if not verdicts[2].accepted:
                 self._absorb_height(ekf, verdicts[2].innovation, std_up)
         resting = standing and not ekf.heading_known

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter, lfilter_zi
 
 from tramstream import keys
 from tramstream.clock import S
@@ -30,6 +31,8 @@ FRAME_S = 0.02
 """Half as many frames as live: a ride of three minutes takes a second."""
 FIX_FRAMES = 10
 GRAVITY = 9.81
+FOLLOWED_S = 0.1
+"""By which springs follow a force; how they swing as well is in `reproduce grade`."""
 M_PER_PULSE = 0.001
 DRAG = 9.13
 
@@ -90,6 +93,14 @@ class Slopes:
         slope: Array = 0.03 * np.sin(place_m / 90.0) + 0.01 * np.sin(place_m / 37.0)
         return slope
 
+    def followed(self, force: Array) -> Array:
+        """The force that springs have followed."""
+        keep = math.exp(-FRAME_S / FOLLOWED_S)
+        start = lfilter_zi([1.0 - keep], [1.0, -keep]) * force[0]
+        followed, _ = lfilter([1.0 - keep], [1.0, -keep], force, zi=start)
+        felt: Array = np.asarray(followed)
+        return felt
+
     # What is told --------------------------------------------------------------------------------
     @property
     def vehicle(self) -> Vehicle:
@@ -108,7 +119,7 @@ class Slopes:
         slope, under = self.slope_rad(place - self.pivot_m), self.slope_rad(place)
         height = 250.0 + np.cumsum(speed * under) * FRAME_S
         force = change + GRAVITY * slope
-        pitch = -slope - self.nod * force + self.pitch_error_rad
+        pitch = -slope - self.nod * self.followed(force) + self.pitch_error_rad
         pitch = pitch + 1e-4 * rng.standard_normal(len(pitch))
         error = 0.0
         motor = self.mass_kg * (change + GRAVITY * (under + self.rolling * np.sign(speed)))

@@ -43,7 +43,7 @@ class Learned(NamedTuple):
     unit: str
 
 
-ACCELERATION, YAW_RATE, COVARIANCE = 7, 8, 9
+ACCELERATION, YAW_RATE, LEVEL_ERROR, LEVEL_STD, COVARIANCE = 7, 8, 9, 10, 11
 """Where they begin in the values of an estimate, behind the motion."""
 VALUES = COVARIANCE + 49
 
@@ -83,6 +83,11 @@ class Estimate:
         return float(self.values[YAW_RATE])
 
     @property
+    def level_error_rad(self) -> float:
+        """By which the pitch lies under what the accelerometer shows; NaN: there is none."""
+        return float(self.values[LEVEL_ERROR])
+
+    @property
     def p_l(self) -> tuple[float, float, float]:
         east, north, up = self.motion[:3].tolist()
         return east, north, up
@@ -107,10 +112,11 @@ class Estimate:
 def values_of(
     motion: ArrayLike, covariance: Array, acceleration_mps2: float, yaw_rate_radps: float
 ) -> Array:
-    """Values of an estimate out of what they consist of."""
+    """Values of an estimate out of what they consist of, of a localiser without a level."""
     values = np.empty(VALUES)
     values[:ACCELERATION] = motion
     values[ACCELERATION], values[YAW_RATE] = acceleration_mps2, yaw_rate_radps
+    values[LEVEL_ERROR:COVARIANCE] = math.nan
     values[COVARIANCE:] = covariance.ravel()
     return values
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from math import isnan
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from tramstream.estimation.localiser import (
     ACCELERATION,
     COVARIANCE,
     HEADING_UNKNOWN,
+    LEVEL_ERROR,
+    LEVEL_STD,
     YAW_RATE,
     Estimate,
 )
@@ -50,6 +53,8 @@ FIELDS = {
     "yaw_std_rad": 1,
     "protection_along_m": 1,
     "protection_across_m": 1,
+    "level_error_rad": 1,
+    "level_std_rad": 1,
     "covariance": TRIANGLE,
 }
 """Numbers of a `MotionState`, in the order in which `_describe` finds them."""
@@ -102,7 +107,8 @@ def _describe(
     out[12] = math.sqrt(max(P[3, 3], 0.0))
     out[13] = math.sqrt(max(P[6, 6], 0.0))
     out[14], out[15] = quantile * out[9], quantile * out[10]
-    k = 16
+    out[16], out[17] = values[LEVEL_ERROR], values[LEVEL_STD]
+    k = 18
     for i in range(7):
         for j in range(i, 7):
             out[k] = P[i, j]
@@ -174,4 +180,10 @@ class Places:
         if found == AWAY:
             self._move(*estimate.p_l)
             found = _describe(*numbers, encoded)
-        return MotionState.FromString(encoded.tobytes()) if found == DESCRIBED else None
+        if found != DESCRIBED:
+            return None
+        message = MotionState.FromString(encoded.tobytes())
+        if isnan(estimate.values.item(LEVEL_ERROR)):
+            message.ClearField("level_error_rad")
+            message.ClearField("level_std_rad")
+        return message

@@ -40,7 +40,7 @@ class DistanceState(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., distance_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., distance_std_m: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ...) -> None: ...
 
 class MotionState(_message.Message):
-    __slots__ = ("stamp_ns", "sequence", "mode", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "speed_mps", "acceleration_mps2", "roll_rad", "pitch_rad", "yaw_rad", "yaw_rate_radps", "standing", "along_std_m", "across_std_m", "up_std_m", "speed_std_mps", "yaw_std_rad", "protection_along_m", "protection_across_m", "covariance", "innovations")
+    __slots__ = ("stamp_ns", "sequence", "mode", "latitude_deg", "longitude_deg", "height_ellipsoid_m", "speed_mps", "acceleration_mps2", "roll_rad", "pitch_rad", "yaw_rad", "yaw_rate_radps", "standing", "along_std_m", "across_std_m", "up_std_m", "speed_std_mps", "yaw_std_rad", "protection_along_m", "protection_across_m", "covariance", "innovations", "level_error_rad", "level_std_rad")
     class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STARTING: _ClassVar[MotionState.Mode]
@@ -73,6 +73,8 @@ class MotionState(_message.Message):
     PROTECTION_ACROSS_M_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     INNOVATIONS_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_ERROR_RAD_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_STD_RAD_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     sequence: int
     mode: MotionState.Mode
@@ -95,7 +97,9 @@ class MotionState(_message.Message):
     protection_across_m: float
     covariance: _containers.RepeatedScalarFieldContainer[float]
     innovations: _containers.RepeatedCompositeFieldContainer[Innovation]
-    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., mode: _Optional[_Union[MotionState.Mode, str]] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., along_std_m: _Optional[float] = ..., across_std_m: _Optional[float] = ..., up_std_m: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., yaw_std_rad: _Optional[float] = ..., protection_along_m: _Optional[float] = ..., protection_across_m: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ...) -> None: ...
+    level_error_rad: float
+    level_std_rad: float
+    def __init__(self, stamp_ns: _Optional[int] = ..., sequence: _Optional[int] = ..., mode: _Optional[_Union[MotionState.Mode, str]] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., height_ellipsoid_m: _Optional[float] = ..., speed_mps: _Optional[float] = ..., acceleration_mps2: _Optional[float] = ..., roll_rad: _Optional[float] = ..., pitch_rad: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., standing: _Optional[bool] = ..., along_std_m: _Optional[float] = ..., across_std_m: _Optional[float] = ..., up_std_m: _Optional[float] = ..., speed_std_mps: _Optional[float] = ..., yaw_std_rad: _Optional[float] = ..., protection_along_m: _Optional[float] = ..., protection_across_m: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., innovations: _Optional[_Iterable[_Union[Innovation, _Mapping]]] = ..., level_error_rad: _Optional[float] = ..., level_std_rad: _Optional[float] = ...) -> None: ...
 
 class Parameter(_message.Message):
     __slots__ = ("name", "value", "std", "unit")

@@ -43,7 +43,7 @@ def test_body_pitch_is_that_of_the_springs_nose_down_when_braking() -> None:
     found = plain()
     speed, change, place = found.ride.motion()
     rows = np.rint(found.time_s / FRAME_S).astype(int) - 1
-    force = change[rows] + 9.81 * found.slope
+    force = found.ride.followed(change + 9.81 * found.ride.slope_rad(place))[rows]
     said = np.array([each.body_pitch_rad for each in found.states])
     settled = found.time_s > 60.0
     assert np.abs(said + 0.005 * force)[settled].max() < 3e-4

@@ -10,6 +10,7 @@ import pytest
 
 from tramstream.processors.grade import kernels
 from tramstream.processors.grade.kernels import STATES, Ix
+from tramstream.processors.grade.said import NUMBERS, Of
 
 RNG = np.random.default_rng(5)
 FIX = (2.25, 0.99)
@@ -134,15 +135,23 @@ def test_force_that_is_led_by_a_localiser_changes_mass_and_rolling_alone() -> No
 
 
 def followed(
-    x: Any, P: Any, pitch: float, acceleration: float, stated: tuple[float, float] = (1e-6, 1e-6)
+    x: Any,
+    P: Any,
+    pitch: float,
+    acceleration: float,
+    stated: tuple[float, float] = (1e-6, 1e-6),
+    level_change: float = math.nan,
 ) -> Any:
-    """A frame of a vehicle that stands: slope, its variance, nod, its variance.
+    """A frame of a vehicle that stands: what is said.
 
     `stated` is the variance of its pitch, now and a frame ago.
     """
-    way_m, shift_m, fix_variance, tau_s = 0.0, 0.0, 1.0, 20.0
-    given = pitch, acceleration, *stated, fix_variance, tau_s
-    return kernels.follow(x, P, np.zeros(1), 0.01, way_m, shift_m, *given)[:4]
+    shift_m, tau_s, dt_s, way_m, fix_variance = 0.0, 20.0, 0.01, 0.0, 1.0
+    out = np.zeros(NUMBERS)
+    given = pitch, *stated, level_change, 0.0, fix_variance
+    shaking = np.array([0.0, acceleration])  # springs have followed
+    kernels.follow(x, P, shaking, shift_m, tau_s, out, dt_s, way_m, acceleration, *given)
+    return out
 
 
 def fresh() -> tuple[Any, Any]:
@@ -155,7 +164,8 @@ def fresh() -> tuple[Any, Any]:
 def test_vehicle_that_stands_keeps_its_slope_and_learns_it() -> None:
     x, P = fresh()
     for _ in range(500):
-        slope, variance, _, _ = followed(x, P, pitch=-0.02, acceleration=0.0)
+        said = followed(x, P, pitch=-0.02, acceleration=0.0)
+    slope, variance = said[Of.SLOPE], said[Of.VARIANCE]
     assert slope == pytest.approx(0.02, abs=1e-4)
     stays = math.sqrt(kernels.PITCH_VARIANCES * 1e-6 + kernels.LEAST_OFFSET_STD_RAD**2)
     assert 0.6 * stays < math.sqrt(variance) < 1.05 * stays, "the pitch's error stays"
@@ -168,7 +178,8 @@ def test_pitch_that_changes_while_nothing_moves_is_the_springs_or_an_error_and_n
     for _ in range(500):
         followed(x, P, pitch=standing, acceleration=0.0)
     for _ in range(200):
-        after, _, nod, _ = followed(x, P, pitch=pushed, acceleration=1.0)
+        said = followed(x, P, pitch=pushed, acceleration=1.0)
+    after, nod = said[Of.SLOPE], said[Of.NOD]
     assert after == pytest.approx(slope, abs=2e-4)
     force = 1.0 + kernels.GRAVITY * slope
     assert nod == pytest.approx(-springs * force, abs=4e-4), "bow up when it speeds up"
@@ -192,12 +203,40 @@ def test_localiser_that_finds_its_pitch_in_a_departure_is_not_taken_for_springs(
     assert std > 0.002, "one departure that moves the pitch otherwise tells little"
 
 
+def test_level_of_the_accelerometer_tells_springs_whatever_the_localiser_learns() -> None:
+    """Its pitch moves by 3 % in a departure, and the level error says so: springs are found."""
+    x, P = fresh()
+    P[Ix.OFFSET, Ix.OFFSET] = P[Ix.SLOPE, Ix.SLOPE]
+    springs, slope, wrong, unsure = 0.004, 0.02, 0.03, 0.02**2
+    for k in range(600):
+        pushed = 1.0 if k > 300 else 0.0
+        learned = min(max(k - 300, 0), 100) / 100
+        before = min(max(k - 301, 0), 100) / 100
+        force = pushed + kernels.GRAVITY * slope
+        pitch = -slope - springs * force + wrong * (1.0 - learned)
+        change = math.nan if k == 0 else wrong * (learned - before)
+        followed(x, P, pitch, pushed, (unsure, unsure), change)
+    spring, std = x[Ix.SPRING], math.sqrt(P[Ix.SPRING, Ix.SPRING])
+    assert abs(spring - springs) < 3.0 * std
+    assert std < 3e-4
+
+
+def test_localiser_that_knows_better_is_taken_at_its_word_once() -> None:
+    """As with a map: its pitch is known by 0.1 %, and it says so again and again."""
+    x, P = fresh()
+    P[Ix.OFFSET, Ix.OFFSET] = 0.03**2
+    for k in range(3000):
+        followed(x, P, -0.02, 0.0, (1e-6, 1e-6), math.nan if k == 0 else 0.0)
+    stays = math.sqrt(kernels.PITCH_VARIANCES * 1e-6 + kernels.LEAST_OFFSET_STD_RAD**2)
+    assert 0.9 * stays < math.sqrt(P[Ix.OFFSET, Ix.OFFSET]) < 1.2 * stays
+
+
 def test_covariance_stays_positive_over_an_hour_with_gaps_of_the_pitch() -> None:
     x, P = fresh()
     for k in range(36_000):
         pitch = math.nan if (k // 3000) % 3 == 1 else 0.02 * math.sin(k / 5000)
-        kernels.follow(
-            x, P, np.full(1, 1e-8), 0.1, 1.0, 3.2, pitch, math.sin(k / 50), 1e-6, 1e-6, 1.0, 20.0
-        )
+        level = 0.0 if k % 7000 > 3000 else math.nan
+        given = math.sin(k / 50), pitch, 1e-6, 1e-6, level, 1e-8, 1.0
+        kernels.follow(x, P, np.full(2, 1e-8), 3.2, 20.0, np.zeros(NUMBERS), 0.1, 1.0, *given)
     assert np.linalg.eigvalsh(P).min() > 0.0
     assert np.isfinite(x).all()

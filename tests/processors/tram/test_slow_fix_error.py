@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from test_fix_error import Array, drawn
+from drawn_errors import Array, drawn
 
 from tramstream.clock import S
 from tramstream.memory.stage import from_plain, to_plain

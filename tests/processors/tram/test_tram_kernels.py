@@ -11,7 +11,13 @@ from numpy.random import Generator
 
 from tramstream.config import Ekf, Gnss, Imu, Vehicle, Wheels
 from tramstream.estimation.kalman import Array, compiled, predict_covariance, update_scalar
-from tramstream.estimation.localiser import HEADING_UNKNOWN, VALUES
+from tramstream.estimation.localiser import (
+    COVARIANCE,
+    HEADING_UNKNOWN,
+    LEVEL_ERROR,
+    LEVEL_STD,
+    VALUES,
+)
 from tramstream.estimation.records import Records, numbers, one
 from tramstream.processors.tram_filter.filter import TramFilter
 from tramstream.processors.tram_model import axes, level_force, motion, update
@@ -483,4 +489,27 @@ def test_prediction_to_now_says_what_the_filter_itself_would(count: int) -> None
     if count:
         ekf.predict(numbers(kept["reading"]), 0.01)
     axes.estimate(ekf.memory, numbers(ekf.parameters), True, expected)
+    assert np.isnan(found[LEVEL_ERROR:COVARIANCE]).all(), "only the horizon tells a level"
+    assert np.isfinite(expected[LEVEL_ERROR:COVARIANCE]).all()
+    found[LEVEL_ERROR:COVARIANCE] = expected[LEVEL_ERROR:COVARIANCE]
     np.testing.assert_allclose(found, expected, rtol=RELATIVE, atol=1e-12)
+
+
+def test_level_is_what_the_accelerometer_shows_whatever_is_known_of_the_pitch() -> None:
+    """A vehicle that stands: gravity ties pitch, mounting and bias together, and none apart."""
+    rng = np.random.default_rng(12)
+    x, values = state(rng) * 0.0, np.zeros(VALUES)
+    P = np.zeros((SIZE, SIZE))
+    for slot, std in ((Ix.PITCH, 0.06), (Ix.MOUNT_PITCH, 0.02), (Ix.ACCEL_X, 0.15)):
+        P[slot, slot] = std * std
+    ekf = tram_filter(x, P)
+    now = reading(rng) * 0.0
+    now.view(READING)["specific_force"] = (-0.3, 0.0, GRAVITY)
+    now.view(READING)["accelerometer"] = 1.0
+    for _ in range(50):
+        ekf.apply(LevelForce(now, 0.01**2))
+    axes.estimate(ekf.memory, numbers(ekf.parameters), True, values)
+    shown = math.asin(0.3 / GRAVITY)
+    assert values[Ix.PITCH] + values[LEVEL_ERROR] == pytest.approx(shown, abs=2e-4)
+    assert values[LEVEL_STD] == pytest.approx(0.01 / math.sqrt(50.0) / GRAVITY, rel=0.05)
+    assert math.sqrt(values[COVARIANCE + 8 * Ix.PITCH]) > 0.02, "how much of it is pitch"

@@ -28,8 +28,14 @@ SLACK = 1.5
 """A pair of errors that is further apart than so many spans is none; chosen by hand."""
 LIMIT = 4.0
 """One change counts for no more than so many of what is expected, as Huber has it; by hand."""
-EVEN = 1.0 - math.exp(-LIMIT)
-"""Mean of min(u, LIMIT) where u, half a χ² of two degrees, has the mean 1."""
+EVEN = (
+    0.0,
+    math.erf(math.sqrt(LIMIT / 2.0)) * (1.0 - LIMIT)
+    - math.sqrt(2.0 * LIMIT / math.pi) * math.exp(-LIMIT / 2.0)
+    + LIMIT,
+    1.0 - math.exp(-LIMIT),
+)
+"""Mean of min(u, LIMIT) where u, a χ² of so many degrees over their number, has the mean 1."""
 FIRST_S, MOST_S = 10.0, 200.0
 """Time constant of what is learned: it begins with the first and grows to the second; by hand."""
 TRUSTED = 1.7
@@ -75,10 +81,12 @@ class FixError:
     ----------
     tau_s : float
         Correlation time that the configuration gives.
+    axes : int
+        How many are learned of together: 2, or 1 for heights, whose north is 0.
     """
 
-    def __init__(self, tau_s: float, memory: FixErrorMemory | None = None) -> None:
-        self._tau_s = max(tau_s, SAMPLE_S)
+    def __init__(self, tau_s: float, memory: FixErrorMemory | None = None, axes: int = 2) -> None:
+        self._tau_s, self._axes = max(tau_s, SAMPLE_S), axes
         self.memory = FixErrorMemory() if memory is None else memory
 
     @property
@@ -89,6 +97,11 @@ class FixError:
         if found > TRUSTED:
             return found
         return min(max(STEADY * memory.whole, LEAST_SHARE), 1.0)
+
+    @property
+    def size(self) -> float:
+        """Variance over the stated one where all of it is taken to last no longer: heights'."""
+        return max(min(self.memory.whole, self.memory.part), 1.0)
 
     @property
     def slow(self) -> float:
@@ -124,9 +137,9 @@ class FixError:
         memory.learned_s += SAMPLE_S
         gain = SAMPLE_S / min(FIRST_S + memory.learned_s, MOST_S)
         if whole is not None:
-            memory.whole = _follow(memory.whole, whole, gain)
+            memory.whole = _follow(memory.whole, whole, gain, EVEN[self._axes])
         if part < memory.part or not self._goes_one_way():
-            memory.part = _follow(memory.part, part, gain)
+            memory.part = _follow(memory.part, part, gain, EVEN[self._axes])
         if whole is None:  # until then the shorter span tells alone
             memory.whole = max(memory.part, 1.0)
         return True
@@ -164,7 +177,7 @@ class FixError:
                 return None
             changed = (east - before_east) ** 2 + (north - before_north) ** 2
             forgotten = 1.0 - math.exp(-age_s / self._tau_s)
-            return changed / (2.0 * forgotten * (stated * stated + before * before))
+            return changed / (self._axes * forgotten * (stated * stated + before * before))
         return None
 
     def _goes_one_way(self) -> bool:
@@ -180,7 +193,7 @@ class FixError:
         return east * east + north * north > ASTRAY * square
 
 
-def _follow(value: float, found: float, gain: float) -> float:
+def _follow(value: float, found: float, gain: float, even: float) -> float:
     """Follow a squared change by its logarithm; one that is far off counts for `LIMIT`."""
-    followed = value * math.exp(gain * (min(found / value, LIMIT) - EVEN))
+    followed = value * math.exp(gain * (min(found / value, LIMIT) - even))
     return min(max(followed, 0.5 * LEAST_SHARE), LARGEST)

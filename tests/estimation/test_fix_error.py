@@ -9,28 +9,22 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from drawn_errors import Array, drawn
 from seeds import seeds
 
 from tramstream.clock import S
-from tramstream.processors.tram_sources.fix_error import LEAST_SHARE, SLOW_SHARE, FixError
+from tramstream.estimation.fix_error import (
+    EVEN,
+    LEAST_SHARE,
+    LIMIT,
+    SLOW_SHARE,
+    FixError,
+)
 
-Array = NDArray[np.float64]
 TAU_S = 20.0
 STATED_M = 0.5
 SEEDS = seeds(2, of=5)
 LONG_S = 900.0
-
-
-def drawn(seed: int, std_m: float, tau_s: float, duration_s: float, rate_hz: float = 1.0) -> Array:
-    """Errors to the east and the north, (n, 2)."""
-    rng = np.random.default_rng(seed)
-    keep = math.exp(-1.0 / (rate_hz * tau_s))
-    error, errors = rng.normal(0.0, std_m, 2), []
-    for _ in range(round(duration_s * rate_hz)):
-        error = keep * error + rng.normal(0.0, std_m * math.sqrt(1.0 - keep**2), 2)
-        errors.append(error)
-    return np.array(errors)
 
 
 def learned(errors: Array, rate_hz: float = 1.0, stated_m: float = STATED_M) -> FixError:
@@ -45,6 +39,22 @@ def learned(errors: Array, rate_hz: float = 1.0, stated_m: float = STATED_M) -> 
 def test_receiver_that_boasts_is_found_out(seed: int, times: float) -> None:
     found = learned(drawn(seed, times * STATED_M, TAU_S, LONG_S))
     assert found.scale == pytest.approx(times, rel=0.4)
+
+
+@pytest.mark.parametrize("times", [1.0, 1.6, 4.0])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_heights_that_boast_are_found_out_and_honest_ones_believed(seed: int, times: float) -> None:
+    """One axis alone: its squares scatter more than those of two, and have the same mean."""
+    found = FixError(TAU_S, axes=1)
+    for k, (up, _) in enumerate(drawn(seed, times * STATED_M, TAU_S, LONG_S).tolist()):
+        found.see(S + k * S, up, 0.0, STATED_M)
+    assert found.scale == pytest.approx(times, rel=0.5)
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_mean_of_what_counts_is_that_of_a_chi_square(axes: int) -> None:
+    drawn_ = np.random.default_rng(1).chisquare(axes, 1_000_000) / axes
+    assert np.minimum(drawn_, LIMIT).mean() == pytest.approx(EVEN[axes], abs=0.003)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
