@@ -23,6 +23,7 @@ from tramstream.processors.grade import events as grade
 from tramstream.processors.kaspar2023 import events as kaspar2023
 from tramstream.processors.localisation import events as ekf
 from tramstream.processors.matching import events as matching
+from tramstream.processors.segments import events as segments
 from tramstream.processors.tram_filter import events as tram
 from tramstream.recorder import events as recorder
 from tramstream.recorder.file import events as record
