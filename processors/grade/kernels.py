@@ -144,7 +144,7 @@ def _offset_variance(x: Array, P: Array, pitch_variance: float) -> float:
     """Of the error of a localiser's pitch, by what it says of it."""
     spring = x[Ix.SPRING] * x[Ix.SPRING] + P[Ix.SPRING, Ix.SPRING]
     variance = PITCH_VARIANCES * pitch_variance + LEAST_OFFSET_STD_RAD * LEAST_OFFSET_STD_RAD
-    return variance + NOD_MPS2 * NOD_MPS2 * spring
+    return float(variance + NOD_MPS2 * NOD_MPS2 * spring)
 
 
 @compiled
