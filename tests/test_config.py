@@ -185,3 +185,15 @@ def test_runtime_folder_of_a_user_is_the_users_own(monkeypatch: pytest.MonkeyPat
     assert default_runtime_dir() == Path("/tmp/tramstream-1000")
     monkeypatch.setattr("os.geteuid", lambda: 0)
     assert default_runtime_dir() == Path("/run/tramstream")
+
+
+def test_files_that_a_processors_section_names_are_relative_to_the_configuration(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "tram.toml"
+    path.write_text(
+        'vehicle = "t1"\nprocessors = ["resampler", "segments"]\n'
+        '[segments]\nsignatures = ["lines/7.npz", "/srv/20.npz"]\n'
+    )
+    found = load(path).sections["segments"]["signatures"]
+    assert found == [str(tmp_path / "lines" / "7.npz"), "/srv/20.npz"]

@@ -24,6 +24,8 @@ NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 VehicleId = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vector = tuple[Number, Number, Number]
+FilePath = Annotated[str, Meta(extra={"file": True})]
+"""A file that a section names, relative to the configuration's; the loader makes it absolute."""
 Three = Annotated[tuple[NotNegative, ...], Meta(min_length=3, max_length=3)]
 
 

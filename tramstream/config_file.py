@@ -7,10 +7,12 @@ class, found by entry point, as strictly as ours.
 from __future__ import annotations
 
 import hashlib
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import msgspec.inspect
 
 from tramstream import calibration_file, mounting, plugins, toml_text
 from tramstream.config import MATCHER, Bus, Recorder, Vehicle
@@ -51,7 +53,7 @@ def parse(data: bytes, name: str, folder: Path) -> Vehicle:
         )
     vehicle = _resolve(_one_mounting(convert(raw, Vehicle, name), raw, name), folder)
     _check_names(vehicle, name)
-    return msgspec.structs.replace(vehicle, sections=_checked(vehicle, sections, name))
+    return msgspec.structs.replace(vehicle, sections=_checked(vehicle, sections, name, folder))
 
 
 def _one_mounting(vehicle: Vehicle, raw: dict[str, Any], name: str) -> Vehicle:
@@ -97,7 +99,9 @@ def _check_names(vehicle: Vehicle, file: str) -> None:
                 raise ConfigError(f"{file}: $.{field}[{index}]: {name} is named twice")
 
 
-def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str, dict[str, Any]]:
+def _checked(
+    vehicle: Vehicle, sections: dict[str, Any], file: str, folder: Path
+) -> dict[str, dict[str, Any]]:
     """Strangers' sections against the `Settings` of their classes, defaults filled in."""
     bridges = plugins.names("bridges")
     strangers = _strangers()
@@ -113,8 +117,31 @@ def _checked(vehicle: Vehicle, sections: dict[str, Any], file: str) -> dict[str,
                 )
             continue
         found = convert(sections.get(section, {}), type_, file, f"$.{section}")
-        made[section] = msgspec.to_builtins(found)
+        made[section] = _with_files(msgspec.to_builtins(found), type_, folder)
     return made
+
+
+def _with_files(
+    values: dict[str, Any], type_: type[msgspec.Struct], folder: Path
+) -> dict[str, Any]:
+    """A section whose files (`FilePath`, or a tuple of them) are absolute."""
+    info = msgspec.inspect.type_info(type_)
+    assert isinstance(info, msgspec.inspect.StructType)
+    for field in info.fields:
+        value = values[field.encode_name]
+        if isinstance(field.type, msgspec.inspect.VarTupleType) and _is_file(field.type.item_type):
+            values[field.encode_name] = [_absolute(each, folder) for each in value]
+        elif _is_file(field.type):
+            values[field.encode_name] = _absolute(value, folder)
+    return values
+
+
+def _is_file(type_: msgspec.inspect.Type) -> bool:
+    return isinstance(type_, msgspec.inspect.Metadata) and bool((type_.extra or {}).get("file"))
+
+
+def _absolute(path: str, folder: Path) -> str:
+    return str((folder / path).absolute()) if path else path
 
 
 def has_section(vehicle: Vehicle, name: str) -> bool:
@@ -141,10 +168,7 @@ def settings(vehicle: Vehicle, name: str, type_: type[Settings]) -> Settings:
 
 def _resolve(vehicle: Vehicle, folder: Path) -> Vehicle:
     """Make file paths absolute; device names and channels stay what they are."""
-
-    def absolute(path: str) -> str:
-        return str((folder / path).absolute()) if path else path
-
+    absolute = partial(_absolute, folder=folder)
     changes: dict[str, Any] = {
         "recorder": msgspec.structs.replace(
             vehicle.recorder, directory=absolute(vehicle.recorder.directory)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from tramstream.config import NotNegative, Positive, Struct
+from tramstream.config import FilePath, NotNegative, Positive, Struct
 
 
 class Area(Struct, frozen=True, kw_only=True):
@@ -34,7 +34,7 @@ class SegmentsSettings(Struct, frozen=True, kw_only=True):
     """Lines that the vehicle may be on, as the network calls them ("7", or "7/0" for one
     direction); empty: all of them. Without a section [map] that has lines, and without
     `signatures`, no place is looked for."""
-    signatures: tuple[str, ...] = ()
+    signatures: tuple[FilePath, ...] = ()
     """Files of lines that `tramstream learn-line` has made of rides."""
     scale_std: Positive = 0.03
     """How well the wheels' way is known where no place has told it yet, as a part of it. Both
