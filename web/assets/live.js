@@ -127,6 +127,7 @@ function status(message) {
   latestStatus = message;
   put(place("vehicle"), message.vehicle);
   document.title = `${message.vehicle} – tramstream`;
+  place("machine").hidden = message.devices.length + message.nodes.length === 0; // of a record that has none
   deviceTable(place("devices"), message);
   nodeTable(place("nodes"), message);
   eventList(place("events"), message.events);
