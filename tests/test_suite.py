@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -98,3 +99,10 @@ def test_test_that_can_fail_is_told_from_one_that_cannot(body: str, fails: bool)
     stranger = ast.parse("def stranger():\n    assert True\n")
     found = without_assertion({"test_a.py": module, "test_b.py": stranger})
     assert (found == []) is fails
+
+
+def test_no_two_modules_of_tests_have_one_name() -> None:
+    """Tests are imported by their name alone: of two, one would not be run."""
+    names = Counter(path.name for path in TESTS.rglob("test_*.py"))
+    twice = [name for name, count in names.items() if count > 1]
+    assert twice == []

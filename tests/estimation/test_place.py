@@ -7,7 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from tramstream.estimation.localiser import HEADING_UNKNOWN, TRACKING, Estimate, values_of
+from tramstream.estimation.localiser import (
+    COVARIANCE,
+    HEADING_UNKNOWN,
+    TRACKING,
+    VALUES,
+    YAW_RATE,
+    Estimate,
+    values_of,
+)
 from tramstream.estimation.published import Places
 from tramstream.geodesy import LocalLevel, convergence_rad
 from tramstream.memory.stage import copied
@@ -72,7 +80,7 @@ def test_without_a_heading_any_direction_may_be_the_worst() -> None:
     assert message.along_std_m == message.across_std_m == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("broken", [0, 6, 9, 57])
+@pytest.mark.parametrize("broken", [0, 6, YAW_RATE, COVARIANCE, VALUES - 1])
 def test_what_is_no_number_is_not_described(broken: int) -> None:
     said = estimate((0.0, 0.0, 0.0))
     said.values[broken] = math.nan

@@ -22,11 +22,11 @@ from tramstream.analysis.evaluate.source import gather
 from tramstream.analysis.report import source as report_source
 from tramstream.boundary import Undecodable, decode
 from tramstream.cli import echo
-from tramstream.cli.monitor import board, stats
 from tramstream.cli.monitor import source as look
 from tramstream.errors import DamagedRecordError
 from tramstream.live import registry
 from tramstream.live.host import ProcessorNode
+from tramstream.monitor import board, stats
 from tramstream.proto.raw_pb2 import TruthState
 from tramstream.recorder.describe import describe
 from tramstream.recorder.exports.csv_tables import export_csv
