@@ -12,7 +12,6 @@ from tramstream.estimation.localiser import (
     HEADING_UNKNOWN,
     TRACKING,
     VALUES,
-    YAW_RATE,
     Estimate,
     values_of,
 )
@@ -80,7 +79,7 @@ def test_without_a_heading_any_direction_may_be_the_worst() -> None:
     assert message.along_std_m == message.across_std_m == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("broken", [0, 6, YAW_RATE, COVARIANCE, VALUES - 1])
+@pytest.mark.parametrize("broken", [0, 6, COVARIANCE, VALUES - 1])
 def test_what_is_no_number_is_not_described(broken: int) -> None:
     said = estimate((0.0, 0.0, 0.0))
     said.values[broken] = math.nan
