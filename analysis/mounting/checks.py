@@ -6,6 +6,7 @@ rates and fixes speak of one right-handed frame.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,11 @@ MOVED_RAD = np.radians(1.5)
 looks like half a degree."""
 MOVED_TIMES = 25.0
 """How much better two mountings must explain the force than one, in times of the scatter."""
+ALIKE_S = 8.0
+"""So long what the regression leaves is alike: slopes of the fixes' heights are means of that."""
+MOVED_SIGMAS = 8.0
+"""Straight rides with the work's noise came to 5.5, a case that was moved by 4° to 12
+(`tests/analysis/test_mounting.py`)."""
 LEAST_SIZE = 0.5
 """Of a regression's forward, which is 1 where the ride tells it."""
 _EACH_S = 1.0
@@ -149,25 +155,42 @@ def moved(drive: Drive, found: Coarse) -> Moved | None:
     best = int(np.argmin(split))
     scatter = max(float(split[best]) / len(A), 1e-9)
     gained = (float(whole) - float(split[best])) / scatter
-    angle = _angle(before[best], after[best])
+    cut = AA[rows[best]]
+    parts = (before[best], cut), (after[best], AA[-1] - cut)
+    tilt, turn = _angles(*parts)
+    # What is left over is alike for some time: so many fewer readings tell each of the angles.
+    left_over = scatter * ALIKE_S / _EACH_S
+    tilt_std = math.sqrt(sum(left_over / float(S[2, 2]) for _, S in parts))
+    turn_std = math.sqrt(sum(left_over / max(float(S[0, 0] + S[1, 1]), 1e-9) for _, S in parts))
+    angle = math.hypot(
+        tilt if tilt > MOVED_SIGMAS * tilt_std else 0.0,
+        turn if turn > MOVED_SIGMAS * turn_std else 0.0,
+    )
     if gained < MOVED_TIMES * 9 or angle < MOVED_RAD:
         return None
     return Moved(float(rows[best]) * each * drive.dt_s, angle)
 
 
-def _angle(one: Array, other: Array) -> float:
-    """Angle between two mountings, each three rows of a regression: the nearest turns."""
+def _angles(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float, float]:
+    """How far the up of two mountings is tilted, and how far they are turned besides.
+
+    Each is three rows of a regression and its normal matrix. Departures and curves both say where
+    forward is, each as much as there was of it: on a straight way the row of curves is chance.
+    """
     turns: list[Array] = []
     ups: list[Array] = []
-    for B in (one, other):
+    for B, S in (one, other):
         up = B[2] / np.linalg.norm(B[2])
-        x = B[0] + np.cross(B[1], up)  # both say where forward is
+        departures, curves = float(S[0, 0]), float(S[1, 1])
+        x = (departures * B[0] + curves * np.cross(B[1], up)) / max(departures + curves, 1e-9)
         x = x - up * (x @ up)
         size = float(np.linalg.norm(x))
         ups.append(up)
         if size >= LEAST_SIZE:
             x = x / size
             turns.append(np.stack([x, np.cross(up, x), up]))
+    tilt = float(np.arccos(np.clip(ups[0] @ ups[1], -1, 1)))
     if len(turns) < len(ups):
-        return float(np.arccos(np.clip(ups[0] @ ups[1], -1, 1)))
-    return float(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude())
+        return tilt, 0.0
+    whole = float(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude())
+    return tilt, math.sqrt(max(whole**2 - tilt**2, 0.0))

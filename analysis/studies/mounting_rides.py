@@ -18,7 +18,7 @@ from tramstream.analysis.mounting.drive import NODE_S, Array, Drive, Fixes, Flag
 from tramstream.analysis.mounting.states import Point
 from tramstream.attitude import C_vl
 from tramstream.geodesy import normal_gravity_mps2
-from tramstream.lines.line import built_in_line
+from tramstream.lines.line import Line, built_in_line
 from tramstream.simulation.body import Attitude, Carriage, inertial_of
 from tramstream.simulation.imu import inertial, instability_density
 from tramstream.simulation.receiver import Gnss
@@ -59,10 +59,14 @@ class CrossLevel(NamedTuple):
 
 
 def world(
-    scenario: Scenario, duration_s: float, cross: CrossLevel | None = None, seed: int = 0
+    scenario: Scenario,
+    duration_s: float,
+    cross: CrossLevel | None = None,
+    seed: int = 0,
+    line: Line | None = None,
 ) -> World:
-    """Drive a scenario on the built-in line for so long."""
-    line = built_in_line()
+    """Drive a scenario on a line for so long; default: the built-in one."""
+    line = line or built_in_line()
     line = line if scenario.track.cant else line.without_cant()
     rng = np.random.default_rng(seed)
     ride = Ride(line, scenario.driver, scenario.reverse, rng)

@@ -18,7 +18,7 @@ from tramstream.analysis.mounting.known import Settings, known_of, white_noise
 from tramstream.analysis.mounting.solve import moved, solve
 from tramstream.analysis.mounting.states import MOUNTING, SIZE
 from tramstream.analysis.mounting.theses import theses
-from tramstream.analysis.studies.mounting_rides import off_rad
+from tramstream.analysis.studies.mounting_rides import draw, off_rad
 from tramstream.attitude import C_vl
 
 Array = NDArray[np.float64]
@@ -136,6 +136,14 @@ def test_case_that_is_moved_half_way_is_dated(turn_deg: list[float]) -> None:
 
 def test_ride_that_is_as_it_should_be_is_not_called_moved() -> None:
     assert told(drawn(TURNS[1], seed=2).drive) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_straight_ride_is_not_called_moved(seed: int) -> None:
+    """There no curve says where forward is, and the row that curves would fill is chance."""
+    world, vehicle = ride("| 500 | 700 | 500 |")
+    drive = draw(world, TURNS[0], np.random.default_rng(seed)).drive
+    assert align_ride("ride", drive, vehicle, EXACT).moved is None
 
 
 def test_rides_together_are_weighed_by_their_information() -> None:

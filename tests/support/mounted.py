@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from rides import laid
 
 from tramstream import config_file, keys
 from tramstream.analysis.mounting.drive import NODE_S, Drive
@@ -32,9 +33,13 @@ LEVEL = LocalLevel.at_deg(50.08, 14.42, 280.0)
 TURN = C_vl(*np.radians([30.0, 60.0, 90.0]))
 
 
-@lru_cache(maxsize=1)
-def ride() -> tuple[World, Vehicle]:
-    """Four minutes of the work's ride, with the sensor of `tram` without scale errors."""
+@lru_cache(maxsize=2)
+def ride(plan: str = "") -> tuple[World, Vehicle]:
+    """Four minutes of the work's ride, with the sensor of `tram` without scale errors.
+
+    On the built-in line, or on one of a plan (`tramstream.lines.line.parse_plan`).
+    """
+    line = laid(plan) if plan else None
     chosen = scenario.load("melenovsky2023")
     sensor = scenario.load("tram").imu
     assert sensor is not None
@@ -48,7 +53,7 @@ def ride() -> tuple[World, Vehicle]:
     imu = msgspec.structs.replace(
         vehicle.imu, lever_arm_m=(0.0, 0.0, 0.0), mounting_deg=(0.0, 0.0, 0.0), rate_hz=10.0
     )
-    return world(chosen, RIDE_S), msgspec.structs.replace(vehicle, imu=imu)
+    return world(chosen, RIDE_S, line=line), msgspec.structs.replace(vehicle, imu=imu)
 
 
 def drawn(C_bv: Array = TURN, seed: int = 1) -> Drawn:
