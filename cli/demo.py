@@ -47,12 +47,15 @@ def demo(
     from dataclasses import asdict
 
     from tramstream.cli.terminal.demo_vehicle import configuration
+    from tramstream.cli.terminal.page_beside import check_installed
     from tramstream.cli.terminal.session import say, stop_on_signals
     from tramstream.config_file import load
     from tramstream.errors import ConfigError, DamagedRecordError
     from tramstream.supervision import vehicle as fleet
     from tramstream.supervision.supervisor import Plan
 
+    if live:
+        check_installed()
     target = out or Path(time.strftime("demo-%Y%m%dT%H%M%S.mcap"))
     if target.exists():
         raise ConfigError(f"{target}: exists already; choose another --out or delete it")

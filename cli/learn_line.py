@@ -29,15 +29,14 @@ def learn_line(
 
     from tramstream.analysis.segments import learning
     from tramstream.cli.segments import frames_of
+    from tramstream.cli.terminal.page_file import make_place
     from tramstream.config_file import load
-    from tramstream.errors import ConfigError
     from tramstream.recorder.reader import open_record
     from tramstream.recorder.reprocess.run import vehicle_of
     from tramstream.shown import shown, shown_json
     from tramstream.tracks import signature_file
 
-    if out.exists() and not overwrite:
-        raise ConfigError(f"{out}: is there already; give --overwrite to replace it")
+    make_place(out, records, overwrite)
     traces = []
     for path in records:
         with open_record(path) as opened:

@@ -40,6 +40,7 @@ def segments(
     import json
 
     from tramstream.analysis.segments import timetable
+    from tramstream.cli.terminal.page_file import make_place
     from tramstream.config_file import load
     from tramstream.errors import DamagedRecordError
     from tramstream.recorder.reader import open_record
@@ -47,7 +48,8 @@ def segments(
     from tramstream.shown import shown_json
     from tramstream.tracks import network, signature, signature_file
 
-    _refuse(parquet, overwrite)
+    if parquet is not None:
+        make_place(parquet, [record], overwrite, "--parquet")
     lines = [signature_file.load(each) for each in line or ()]
     if net is not None:
         lines += signature.of_network(network.load(net))
@@ -88,21 +90,12 @@ def frames_of(record: Record, path: Path) -> Iterator[Sample]:
         )
 
 
-def _refuse(out: Path | None, overwrite: bool) -> None:
-    from tramstream.errors import ConfigError
-
-    if out is not None and out.exists() and not overwrite:
-        raise ConfigError(f"{out}: is there already; give --overwrite to replace it")
-
-
 def _write(told: Told, path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     from tramstream.analysis.segments.timetable import Section
+    from tramstream.recorder.exports.arrays import write_columns
 
     columns = {name: [getattr(each, name) for each in told.sections] for name in Section._fields}
-    pq.write_table(pa.table(columns), path)
+    write_columns(columns, path)
 
 
 def _plain(told: Told) -> dict[str, Any]:

@@ -18,6 +18,19 @@ ADDRESS = "live page: "
 """What stands before the address in the first line that `tramstream live` prints."""
 
 
+def check_installed() -> None:
+    """Refuse a page whose packages are missing, before a ride begins.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    with needs("live"):
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+
+
 @contextmanager
 def page_beside(vehicle: str, runtime_dir: Path, listen: str) -> Iterator[str]:
     """Serve the page of a vehicle; gives its address.
@@ -36,10 +49,7 @@ def page_process(
     vehicle: str, runtime_dir: Path, listen: str
 ) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The same with its process."""
-    with needs("live"):
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-
+    check_installed()
     command = [sys.executable, "-P", "-m", "tramstream.cli.main", "live", "--vehicle", vehicle]
     command += ["--listen", listen]
     environment = {**os.environ, RUNTIME_DIR: str(runtime_dir)}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,12 @@ def write_parquet(record: Record, out: Path, window: Window) -> list[Path]:
         _put(parquet, pa.table(arrays), path)
         written.append(path)
     return written
+
+
+def write_columns(columns: Mapping[str, Any], out: Path) -> None:
+    """One table that is there already."""
+    pa, parquet = _pyarrow()
+    _put(parquet, pa.table(dict(columns)), out)
 
 
 def write_geoparquet(record: Record, out: Path, window: Window) -> None:

@@ -88,3 +88,13 @@ def test_line_is_learned_and_never_replaced_silently(record: Path, tmp_path: Pat
     again = tramstream("learn-line", record, "-o", out)
     assert again.returncode == 2
     assert "--overwrite" in again.stderr
+
+
+def test_no_verb_writes_over_the_record_that_it_reads(tmp_path: Path) -> None:
+    record = tmp_path / "ride.mcap"
+    record.write_bytes(b"a ride")
+    for verb in (("segments", record, "--parquet", record), ("learn-line", record, "-o", record)):
+        done = tramstream(*verb, "--overwrite")
+        assert done.returncode == 2, done.stderr
+        assert "is what would be read" in done.stderr
+    assert record.read_bytes() == b"a ride"

@@ -21,7 +21,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import zipfile
 import zlib
 from dataclasses import dataclass, fields
@@ -37,6 +36,7 @@ from tramstream.errors import ConfigError
 from tramstream.geodesy import LocalLevel
 from tramstream.memory.arrays import read_npy
 from tramstream.tracks import check
+from tramstream.tracks.whole_file import write_whole
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -247,15 +247,7 @@ class Network:
                 else:
                     names[each.name] = value
             archive.writestr(_entry("names.json"), json.dumps(names, ensure_ascii=False))
-        partial = path.with_name(path.name + ".partial")
-        try:
-            with partial.open("wb") as file:
-                file.write(packed.getvalue())
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        write_whole(path, packed.getvalue())
 
 
 def _entry(name: str) -> zipfile.ZipInfo:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import zipfile
 import zlib
 from pathlib import Path
@@ -17,6 +16,7 @@ from tramstream.errors import ConfigError
 from tramstream.input_file import read_limited
 from tramstream.memory.arrays import read_npy
 from tramstream.tracks.signature import Signature
+from tramstream.tracks.whole_file import write_whole
 
 FORMAT = 1
 LIMIT_BYTES = 64 << 20
@@ -52,15 +52,7 @@ def save(signature: Signature, path: Path) -> None:
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as file:
                 np.lib.format.write_array(file, getattr(signature, name))
         archive.writestr(zipfile.ZipInfo("names.json"), msgspec.json.encode(names))
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as written:
-            written.write(packed.getvalue())
-            written.flush()
-            os.fsync(written.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(path, packed.getvalue())
 
 
 def load(path: Path) -> Signature:

@@ -1,7 +1,7 @@
 // The operator's line as a straight band: stops by chainage, the vehicle on it, heights above.
 import { decimals, text } from "./texts.js";
+import { node } from "./svg.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const HEIGHT = 150;
 const FLAT_HEIGHT = 70; // without heights
 const AHEAD_M = 1600;
@@ -92,10 +92,4 @@ function profile(line, begin, shown, x) {
     return words;
   };
   return [node("polyline", { points: points.join(" "), class: "height" }), label(high, 14), label(low, 78)];
-}
-
-function node(name, attributes) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, String(value));
-  return made;
 }

@@ -1,6 +1,7 @@
 // The map: tracks, stops, the way so far, fixes, and the vehicle with its protection level.
 // Leaflet draws it; there are no tiles. With the heading up, the whole plane is turned.
 /* global L */
+import { node } from "./svg.js";
 import { text } from "./texts.js";
 
 const EARTH_M = 6378137;
@@ -216,14 +217,8 @@ export class MapPanel {
 }
 
 function vehicleIcon() {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("viewBox", "-12 -12 24 24");
-  svg.setAttribute("width", "34");
-  svg.setAttribute("height", "34");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  path.setAttribute("d", "M0 -10 L7 9 L0 5 L-7 9 Z");
-  path.setAttribute("class", "vehicle-arrow");
-  svg.append(path);
+  const svg = node("svg", { viewBox: "-12 -12 24 24", width: 34, height: 34 });
+  svg.append(node("path", { d: "M0 -10 L7 9 L0 5 L-7 9 Z", class: "vehicle-arrow" }));
   return L.divIcon({ className: "vehicle-icon", html: svg, iconSize: [34, 34], iconAnchor: [17, 17] });
 }
 

@@ -1,7 +1,7 @@
 // Satellites: where they stand in the sky, and how strong they come in.
 import { text } from "./texts.js";
+import { node } from "./svg.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const STRONG_DBHZ = 50;
 
 export function drawSky(section, element, satellites) {
@@ -44,10 +44,4 @@ function bars(satellites) {
     svg.append(name);
   });
   return svg;
-}
-
-function node(name, attributes) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, String(value));
-  return made;
 }
