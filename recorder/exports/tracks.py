@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from xml.sax.saxutils import escape
 
-from tramstream import boundary
 from tramstream.clock import S
 from tramstream.recorder.exports.places import Place, lines, positions
 from tramstream.recorder.exports.window import WHOLE, Window
@@ -68,8 +67,6 @@ def _placemarks(places: list[Place]) -> Iterator[str]:
 
 
 def _utc(stamp_ns: int) -> str:
-    """A time as XML has it; one that no calendar has is that of its end."""
-    stamp_ns = min(max(stamp_ns, 0), boundary.LATEST_NS)
     seconds = datetime.fromtimestamp(stamp_ns // S, UTC).strftime("%Y-%m-%dT%H:%M:%S")
     return f"{seconds}.{stamp_ns % S // 1_000_000:03d}Z"
 

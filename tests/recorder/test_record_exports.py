@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pyarrow.parquet
 import pytest
-from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from looking import START_NS, VEHICLE
 from scipy.io import loadmat
 
@@ -223,14 +222,3 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
         assert not (tmp_path / f"a.{option}").exists()
     with pytest.raises(RecordError, match="no key raw/x/y"):
         export([path], parquet=tmp_path / "out", key="raw/x/y")
-
-
-def test_stamp_that_no_calendar_has_ends_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with RecordFile(path, VEHICLE) as record:
-        for number in (1, 2):
-            fix = LocationFix(latitude=50.0, longitude=14.0, altitude=1.0)
-            fix.timestamp.seconds = 1 << 50
-            put(record, keys.GNSS_LOCATION, fix, START_NS + number, number, VEHICLE)
-    export([path], gpx=tmp_path / "a.gpx", kml=tmp_path / "a.kml")
-    assert (tmp_path / "a.gpx").read_text().count("<trkpt") == 2
